@@ -136,6 +136,8 @@ def answer_at(offsets: Offsets, effects: Effects, before: Before, z_mm: float) -
     """The drift at a place."""
     terms = [k * TERMS + i for k in range(len(offsets.mm)) for i in (0, 3, 4)]
     noise = offsets.covariance[np.ix_(terms, terms)] + np.kron(effects.calibrated, np.diag([1.0, 0.0, 0.0]))
+    # In a bend a ring's circle is wider and drawn out, by the square of how far the wall winds: each ring by its own.
+    noise += (offsets.bent_mm**2 / effects.calibration.pipe_radius_mm) ** 2 * np.eye(len(terms))
     design = np.concatenate([effects.even[:, None], effects.twofold], axis=1).reshape(len(terms), -1)
     even, twofold = (np.kron(effects.px_mm**2, which) for which in ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0]))
     observed = -offsets.at(z_mm)[:, (0, 3, 4)].ravel()

@@ -72,7 +72,8 @@ class Offsets:
     """mm (K, TERMS) outwards, and their covariance (K TERMS, K TERMS). weight (N,) of the observations, 1 / mm^2.
     noise_mm : of one observation. per_mm : by how much more all of them stand out, the head a mm farther on than at
     `middle_mm`. sections_mm, uneven_mm (S,): radius of each
-    section with the calibration as it is, and the standard deviation of its rows."""
+    section with the calibration as it is, and the standard deviation of its rows. bent_mm : how far the
+    wall's middle winds about a straight line (standard deviation)."""
 
     mm: FloatArray
     covariance: FloatArray
@@ -83,6 +84,7 @@ class Offsets:
     per_mm_sigma: float = 0.0
     sections_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
     uneven_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    bent_mm: float = 0.0
 
     def at(self, z_mm: float) -> FloatArray:
         """(K, TERMS), the head at a station."""
@@ -191,6 +193,7 @@ def ring_offsets(
         math.sqrt(max(float(inverse[-1, -1]), 0.0)),
         np.array([middle_mm + row @ answer for row in known]),
         np.array([_spread(row[:first_head:of_wall], answer[:first_head:of_wall]) for row in known]),
+        _winding(used, np.stack([answer[i:first_head:of_wall] for i in (1, 2)], axis=1)),
     )
 
 
@@ -210,6 +213,13 @@ def _alike(seen: Observations, clock: FloatArray, residual: FloatArray) -> float
 def _spread(weight: FloatArray, value: FloatArray) -> float:
     """Standard deviation of values of so much weight each, all of it 1."""
     return math.sqrt(max(float(weight @ (value - weight @ value) ** 2), 0.0))
+
+
+def _winding(nodes: NDArray[np.intp], middle: FloatArray) -> float:
+    """Standard deviation, mm, of the wall's middle (N, 2) about a line through it along the nodes."""
+    along = np.stack([np.ones(len(nodes)), nodes - nodes.mean()], axis=1)
+    left = middle - along @ np.linalg.lstsq(along, middle, rcond=None)[0]
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
 
 def _section(inside: BoolArray, both: NDArray[np.intp], part: FloatArray, waves: int, size: int) -> FloatArray:

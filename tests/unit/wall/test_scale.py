@@ -265,3 +265,12 @@ def test_marks_over_a_known_length_of_cable_narrow_the_scale() -> None:
         far = with_marks(scale, (0.05, 0.0005))
         assert far is not None and far.part == scale.part  # an odometer that is 5 % off says nothing of a scale
     assert with_marks(None, (0.0, 0.1)) is None and with_marks(scale, None) is scale
+
+
+def test_in_a_bend_nothing_is_named_a_drift() -> None:
+    bent = [
+        replace(one, points_mm=one.points_mm + np.float32([0.0006, 0.0, 0.0]) * (one.points_mm[:, 2:] - 150) ** 2)
+        for one in scan(head(), Drift(), RADIUS, np.random.default_rng(18))
+    ]
+    scale = find_scale(bent, head())
+    assert scale is not None and not scale_findings(scale)
