@@ -154,7 +154,7 @@ class WindowWork:
         if profiles is None:
             return None
         job = self.job
-        more = (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps, job.sections)
+        more = (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps, job.sections, self.scale)
         part = portion.part
         pictures = part.part([i for i, frame in enumerate(part.frames) if frame.label is Label.LED])  # in no range
         return address(

@@ -2,9 +2,12 @@
 
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from annulus.geometry.drift import Drift
 from annulus.geometry.pose import Pose
 from annulus.record.scan import Scan, ScanFrame
 from annulus.record.storage import Place
@@ -12,13 +15,21 @@ from annulus.reprocess import Processes, whole
 from annulus.reprocess.cluster import Dask, packed
 from annulus.reprocess.ranges import Facts
 from annulus.reprocess.whole import Filed
-from annulus.reprocess.windows import Portions
+from annulus.reprocess.windows import Portion, Portions, WindowWork
 from annulus.rings.diagnosis import Exposure
 from annulus.vocabulary import Label
+from annulus.wall.scale import AbsoluteScale
 from annulus.wall.windows import Plan, Window
 
 OF = 100  # frames of a range, and of a window, whose halo has 20 of each neighbour
 PORTION_MOST = 60_000  # bytes; about 24 000
+
+
+class Known:
+    """Profiles, or files, of known origin."""
+
+    def made_from(self) -> tuple[str, ...]:
+        return ("known",)
 
 
 def portions(ranges: int) -> Portions:
@@ -47,6 +58,18 @@ def test_what_a_window_is_sent_does_not_grow_with_its_scan() -> None:
     assert long[2].profiles.frame(185) == long[2].profiles.facts[0].frames[85] == 185
     assert len(packed(long[2])) == len(packed(short[2])) < PORTION_MOST
     assert pickle.loads(packed(long[2])) == long[2]
+
+
+def test_a_window_is_kept_for_the_scale_of_its_scan_and_no_other() -> None:
+    """Which frames beyond the window say: the same frames with another scale are other results."""
+    portion = Portion(0, Window(0.0, 1.0, ()), Scan(Path("scan"), (), None, None), Known())
+    job = SimpleNamespace(calibration=None, colour=None, reference=None, sections=())
+    drifts = [None, Drift(), Drift(focal=0.001), Drift(focal=0.001)]
+    scales = [
+        one and AbsoluteScale(np.zeros(1), (one,), np.eye(7), np.ones(7), np.ones((2, 7)), 0.1, 1.0) for one in drifts
+    ]
+    made = [WindowWork(job, 2.0, 2.0, Known(), scale=one)._made_from(portion) for one in scales]  # type: ignore[arg-type]
+    assert made[2] == made[3] and len(set(made)) == 3
 
 
 def test_what_is_packed_comes_out_as_it_went_in() -> None:
