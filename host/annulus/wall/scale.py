@@ -6,8 +6,7 @@ off the wall that they share (`offsets`) tells some of it (`geometry.drift`); a 
 rest; what neither tells is what the prior leaves, and enters every absolute length. Depths are differences, and have
 no part of it.
 
-The drift is what explains the offsets best: Gaussian, but for two numbers that nobody knows beforehand and that are
-summed over: how far edges are drawn whatever the optics do, and how translucent the wall is.
+The drift is what explains the offsets best (`explained`).
 """
 
 import math
@@ -23,7 +22,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.rounding import DISTANCE, MEASURE, off, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.explained import Before, Effects, answer_at
-from annulus.wall.offsets import TERMS, Observations, Offsets, Section, observations, ring_offsets
+from annulus.wall.offsets import TERMS, Offsets, Section, observations, ring_offsets
 from annulus.wall.optics import Prior
 from annulus.wall.pose import fit_pose
 from annulus.wall.profile import Profile
@@ -153,30 +152,28 @@ def find_scale(
     ]
     unseen = tuple((one, math.nan, UNSEEN_WHY) for one in named if one not in references)
     radius = float(np.median(np.hypot(*seen.in_pipe(seen.points)[:, :2].T)))
-    sections = [Section(r.from_mm, r.to_mm, r.diameter_mm / 2, r.diameter_k2_mm / 4) for r in references]
-    offsets = ring_offsets(seen, len(calibration.rings), radius, sections)
-    effects = Effects.of(seen, offsets.weight, calibration)
+    plain = ring_offsets(seen, len(calibration.rings), radius, _sections(references), held=False)
+    effects = Effects.of(seen, plain.weight, calibration)
     tube_mm = float(np.linalg.norm(calibration.rings[0].vertex_mm))
     before = Before(
         np.array([prior.focal_mean, prior.slide_mean, prior.tube_mean * tube_mm, 0.0]),
         np.array([prior.focal, prior.slide, prior.tube * tube_mm, prior.anamorphic]),
         wall_mm,
     )
+    refused = _refused_sections(plain, effects, before, references, radius)
+    references = [one for one in references if all(one is not other for other, _, _ in refused)]
+    sections = _sections(references)
+    offsets = ring_offsets(seen, len(calibration.rings), radius, sections) if sections else plain
     stations = seen.z_mm[seen.head]
     places = [float(stations[(along >= one.from_mm) & (along <= one.to_mm)].mean()) for one in sections]
     places = places or [offsets.middle_mm]
     answers = [answer_at(offsets, effects, before, z) for z in places]
     covariance = np.asarray(np.mean([one.covariance for one in answers], axis=0))
     edges = float(np.mean([one.edges_px for one in answers]))
-    found = tuple(
+    observed = tuple(
         (one, one.diameter_mm + 2.0 * float(offsets.at(z)[:, 0].mean()))
         for one, z in zip(references, places, strict=False)
     )
-    wild = _refused_sections(seen, effects, before, references, sections, radius)
-    if wild:
-        rest = [one for one in references if all(one is not other for other, _, _ in wild)]
-        without = find_scale(profiles, calibration, rest, prior)
-        return without and replace(without, refused=(*without.refused, *wild, *unseen))
     beyond = max(min(places) - float(seen.z_mm.min()), float(seen.z_mm.max()) - max(places), 0.0)
     order = np.argsort(places)
     out = AbsoluteScale(
@@ -187,15 +184,15 @@ def find_scale(
         np.tensordot(effects.share, effects.twofold, 1) / radius,
         edges,
         min(one.opaque for one in answers),
-        found,
-        unseen,
+        observed,
+        (*refused, *unseen),
         observed_k2_mm=_observed_k2_mm(offsets, sections),
         by=prior.by,
         tube_mm=tube_mm,
         beyond=offsets.per_mm_sigma * beyond / radius if len(sections) > 1 else 0.0,
         left_mm=np.array([answers[i].left_mm for i in order]) if sections else np.zeros((0, 0)),
     )
-    return out if found or out.is_sure or any(before.mean) else out.as_calibrated()
+    return out if observed or out.is_sure or any(before.mean) else out.as_calibrated()
 
 
 def with_marks(scale: AbsoluteScale | None, marks: tuple[float, float] | None) -> AbsoluteScale | None:
@@ -216,36 +213,37 @@ def with_marks(scale: AbsoluteScale | None, marks: tuple[float, float] | None) -
     return replace(scale, covariance=covariance, marks=(marks[0], sigma), astray=abs(float(scale.even @ gain * off)))
 
 
+def _sections(references: Sequence[ReferenceSection]) -> list[Section]:
+    return [Section(one.from_mm, one.to_mm, one.diameter_mm / 2, one.diameter_k2_mm / 4) for one in references]
+
+
 def _refused_sections(
-    seen: Observations,
-    effects: Effects,
-    before: Before,
-    references: Sequence[ReferenceSection],
-    sections: Sequence[Section],
-    radius_mm: float,
+    plain: Offsets, effects: Effects, before: Before, references: Sequence[ReferenceSection], radius_mm: float
 ) -> list[tuple[ReferenceSection, float, str]]:
-    """Those that are no reference: uneven, of another size than the scan without them allows, or at odds."""
-    if not sections:
+    """Those that are no reference: uneven, of another size than the scan without them allows, or at odds.
+
+    plain : offsets that hold to none of them."""
+    if not references:
         return []
-    plain = ring_offsets(seen, len(effects.even), radius_mm, sections, held=False)
     free = answer_at(plain, effects, before, plain.middle_mm)
     even = effects.usual_even / radius_mm
     part = math.sqrt(max(float(even @ free.covariance @ even), 0.0))
     drifted_by = float(even @ free.mean)
-    off = np.array([mm * (1.0 + drifted_by) / one.radius_mm - 1.0
-                    for mm, one in zip(plain.sections_mm, sections, strict=True)])  # fmt: skip
-    at_odds = len(off) > 1 and float(np.ptp(off)) > APART_MOST
-    out = []
-    for one, mm, uneven, away in zip(references, plain.sections_mm, plain.uneven_mm, off, strict=True):
-        why = ""
+    out, off, good = [], [], []
+    for one, mm, uneven in zip(references, plain.sections_mm, plain.uneven_mm, strict=True):
+        away = 2.0 * float(mm) * (1.0 + drifted_by) / one.diameter_mm - 1.0
         if uneven > EVEN_MOST * radius_mm:
             why = f"its rows differ by {uneven:.2f} mm (standard deviation): a step, a taper or a defect lies in it"
+            out.append((one, 2.0 * float(mm), why))
         elif abs(away) > WILD * math.hypot(part, one.diameter_k2_mm / 2.0 / one.diameter_mm):
             why = f"{one.diameter_mm:.2f} mm was stated, and no optics drift by as much. Its size or its place is wrong"
-        elif at_odds:
-            why = "the sections contradict each other by more than a head drifts by in one scan"
-        if why:
             out.append((one, 2.0 * float(mm), why))
+        else:
+            good.append((one, 2.0 * float(mm)))
+            off.append(away)
+    if len(off) > 1 and float(np.ptp(off)) > APART_MOST:
+        why = "the sections contradict each other by more than a head drifts by in one scan"
+        out += [(*one, why) for one in good]
     return out
 
 

@@ -294,3 +294,12 @@ def test_in_a_bend_nothing_is_named_a_drift() -> None:
         return float(sum_of @ answer.mean / np.sqrt(sum_of @ answer.covariance @ sum_of))
 
     assert named(wound[0].bent_mm) > SURE > named(5.0)
+
+
+def test_a_section_that_no_drift_explains_takes_no_other_with_it() -> None:
+    profiles = scan(head(), Drift(focal=0.001), RADIUS, np.random.default_rng(19))
+    wrong = ReferenceSection(150.0, 180.0, 2 * RADIUS + 8.0, 0.02)
+    both, alone = find_scale(profiles, head(), [HERE, wrong]), find_scale(profiles, head(), [HERE])
+    assert both is not None and alone is not None
+    assert [one for one, _ in both.references] == [HERE] and [one for one, *_ in both.refused] == [wrong]
+    assert both.part == pytest.approx(alone.part, rel=0.02)
