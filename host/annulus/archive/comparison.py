@@ -72,12 +72,12 @@ class Comparison:
         one = self.diameter
         if not math.isfinite(one.change):
             return "Mean diameter: no row was seen by both."
-        told = "" if one.is_sure else ", and that is no more than the two scans' scales may be off"
+        proviso = "" if one.is_sure else ", and that is no more than the two scans' scales may be off"
         if math.isnan(one.change_k2):
-            told = "; one of the two does not say how sure its scale is, so nothing follows from that"
+            proviso = "; one of the two does not say how sure its scale is, so nothing follows from that"
         return (
             f"Mean diameter: {said(one.first, MEASURE)} then, {said(one.second, MEASURE)} now, a change of "
-            f"{said(one.change, MEASURE, one.change_k2)}{told}."
+            f"{said(one.change, MEASURE, one.change_k2)}{proviso}."
         )
 
     def remarks(self) -> list[str]:

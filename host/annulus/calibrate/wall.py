@@ -53,8 +53,8 @@ class MeasuredWall:
     frames: int
 
     def to_dict(self) -> dict[str, Any]:
-        told = {"wider_mm": self.wider_mm, "left_mm": list(self.left_mm), "frames": self.frames}
-        return {**wall_to_dict(self.shift_mm, self.sigma_mm), **told}
+        more = {"wider_mm": self.wider_mm, "left_mm": list(self.left_mm), "frames": self.frames}
+        return {**wall_to_dict(self.shift_mm, self.sigma_mm), **more}
 
 
 def measure_wall(
@@ -81,18 +81,18 @@ def measure_wall(
     sigma = np.hypot(scatter, fixed[known]) / np.abs(slope)
     used = sorted({"RGB".index(letter) for letter in opaque.colours})
     shares = _shares(opaque.colours)[known][:, used]
-    found, covariance = _by_colour(shares, shift, sigma)
+    fitted, covariance = _by_colour(shares, shift, sigma)
     wider = np.linalg.lstsq(shares, 1.0 / slope, rcond=None)[0]  # what 1 mm of the pipe's radius does to each colour
     variance = np.diag(covariance) + (wider * diameter_u_mm / 4) ** 2  # k = 2 of a diameter is four sigma of a radius
     values, errors = np.zeros(3), np.full(3, SHIFT_MAX_MM)
-    values[used], errors[used] = found, np.minimum(np.sqrt(variance), SHIFT_MAX_MM)
+    values[used], errors[used] = fitted, np.minimum(np.sqrt(variance), SHIFT_MAX_MM)
     for c in used:
         if values[c] < -UPSTREAM * errors[c] or values[c] > SHIFT_MAX_MM:
             raise AnnulusError(
                 f"{COLOURS[c]} light would leave the wall {values[c]:+.2f} +- {errors[c]:.2f} mm along the pipe, "
                 f"expected 0 to {SHIFT_MAX_MM:g}: its radius is not {opaque.pipe_radius_mm:g} mm, or the optics drifted"
             )
-    left = (shift - shares @ found) * -slope
+    left = (shift - shares @ fitted) * -slope
     return MeasuredWall(
         _triple(np.maximum(values, 0.0)), _triple(errors), float(np.mean(middle)) - opaque.pipe_radius_mm,
         tuple(float(v) for v in left), len(frames),
@@ -132,15 +132,15 @@ def _by_colour(shares: FloatArray, shift: FloatArray, sigma: FloatArray) -> tupl
     all others' until they agree."""
     colours = shares.shape[1]
     alike = np.eye(colours) - 1.0 / colours
-    found, excess = np.full(colours, float(np.average(shift, weights=sigma**-2.0))), 1.0
+    fitted, excess = np.full(colours, float(np.average(shift, weights=sigma**-2.0))), 1.0
     for _ in range(TURNS):
-        about = max(ALIKE * abs(float(found.mean())), 1e-3)
+        about = max(ALIKE * abs(float(fitted.mean())), 1e-3)
         rows = np.vstack([shares / (excess * sigma)[:, None], alike / about])
         covariance = np.linalg.inv(rows.T @ rows)
-        found = covariance @ rows.T @ np.concatenate([shift / (excess * sigma), np.zeros(colours)])
-        off = float(np.sum(((shift - shares @ found) / sigma) ** 2)) / max(len(shift) - 1, 1)
+        fitted = covariance @ rows.T @ np.concatenate([shift / (excess * sigma), np.zeros(colours)])
+        off = float(np.sum(((shift - shares @ fitted) / sigma) ** 2)) / max(len(shift) - 1, 1)
         excess = max(1.0, math.sqrt(off))
-    return found, covariance
+    return fitted, covariance
 
 
 def _shares(colours: str) -> FloatArray:

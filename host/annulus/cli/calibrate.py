@@ -181,8 +181,8 @@ def colour(
     if isinstance(wall, MeasuredWall):
         save_wall(wall, calibration, reference_u or 0.0)
     if as_json:
-        told = {"wall": wall.to_dict()} if isinstance(wall, MeasuredWall) else {"wall": None, "wall_not_measured": wall}
-        print(json.dumps({**profile.to_dict(), **told, "warnings": list(learnt.warnings), "file": str(out)}))
+        part = {"wall": wall.to_dict()} if isinstance(wall, MeasuredWall) else {"wall": None, "wall_not_measured": wall}
+        print(json.dumps({**profile.to_dict(), **part, "warnings": list(learnt.warnings), "file": str(out)}))
         raise typer.Exit(1 if isinstance(wall, str) else 0)
     print(f"frames       {profile.frames} of {learnt.looked_at} showed every ring")
     print("             stripe  red    green  blue")

@@ -132,8 +132,8 @@ def wall_from_dict(data: object) -> tuple[Triple, Triple | None]:
 
 def wall_to_dict(shift_mm: Triple, sigma_mm: Triple | None = None) -> dict[str, Any]:
     """Inverse of `wall_from_dict`."""
-    told = {"translucency_mm": shift_mm, "sigma_mm": sigma_mm}
-    return {key: dict(zip("RGB", value, strict=True)) for key, value in told.items() if value is not None}
+    fields = {"translucency_mm": shift_mm, "sigma_mm": sigma_mm}
+    return {key: dict(zip("RGB", value, strict=True)) for key, value in fields.items() if value is not None}
 
 
 def _of_colours(section: Mapping[str, Any], key: str) -> Triple:

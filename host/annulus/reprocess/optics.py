@@ -15,11 +15,11 @@ READ_MOST = 2000  # of a topic: of an hour's samples the first minutes say enoug
 def prior_of(scan: Scan) -> Prior:
     """By `[optics]` of the head that recorded it and its sensors' temperature; the widest where one is not there."""
     recording = scan.recording
-    told = (recording.configuration or {}).get("optics") if recording is not None else None
-    if recording is None or not told:
+    stated = (recording.configuration or {}).get("optics") if recording is not None else None
+    if recording is None or not stated:
         return Prior()
     try:
-        return Optics.from_dict(told).prior(_celsius(recording))
+        return Optics.from_dict(stated).prior(_celsius(recording))
     except ValueError:  # whoever wrote it
         return Prior()
 

@@ -42,7 +42,7 @@ def sections_from(data: object, what: str = "[reference]") -> tuple[ReferenceSec
     pairs = [untrusted.numbers(one, f"{what} sections_mm[{i}]", (2,), FARTHEST_MM) for i, one in enumerate(spans)]
     diameter = untrusted.within(section["diameter_mm"], f"{what} diameter_mm", *DIAMETER_MM)
     k2 = untrusted.within(section["u_mm"], f"{what} u_mm (k = 2)", 1e-4, K2_PART * diameter)
-    return checked([ReferenceSection(first, last, diameter, k2) for first, last in pairs], what)
+    return _checked([ReferenceSection(first, last, diameter, k2) for first, last in pairs], what)
 
 
 def sections_to_dict(sections: Sequence[ReferenceSection]) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def sections_of(words: Sequence[str], diameter_mm: float, k2_mm: float, what: st
     return sections_from({"sections_mm": spans, "diameter_mm": diameter_mm, "u_mm": k2_mm}, what)
 
 
-def checked(sections: Sequence[ReferenceSection], what: str) -> tuple[ReferenceSection, ...]:
+def _checked(sections: Sequence[ReferenceSection], what: str) -> tuple[ReferenceSection, ...]:
     """In order of distance. Raises ValueError where one is too short, or two overlap."""
     out = tuple(sorted(sections, key=lambda one: one.from_mm))
     before = -math.inf

@@ -23,7 +23,7 @@ UP = [2.0 * i for i in range(30)]
 
 
 @pytest.mark.parametrize(
-    ("z_mm", "kind", "told"),
+    ("z_mm", "kind", "where"),
     [
         (UP + [2.0 * i for i in range(20)], "place_back", (30,)),  # reset
         ([*UP, 50.0, 48.0, 52.0, 60.0], "place_back", (30,)),  # slipped, 10 mm
@@ -32,9 +32,9 @@ UP = [2.0 * i for i in range(30)]
         ([100.0 - z for z in UP] + [99.0], "place_backwards", (0, 30)),
     ],
 )
-def test_z_that_runs_back_is_told(z_mm: list[float], kind: str, told: tuple[int, ...]) -> None:
+def test_z_that_runs_back_is_reported(z_mm: list[float], kind: str, where: tuple[int, ...]) -> None:
     (one,) = [one for one in running_back_findings(frames(z_mm)) if one.kind == kind]
-    assert one.frames == told and "\n" not in one.text
+    assert one.frames == where and "\n" not in one.text
 
 
 def test_a_rest_and_a_segment_that_begins_anew_are_none() -> None:
@@ -48,7 +48,7 @@ def light(seed: int) -> Exposure:
     return diagnose(np.random.default_rng(seed).integers(0, 255, (96, 128, 3), np.uint8))
 
 
-def test_one_picture_at_two_places_is_told() -> None:
+def test_one_picture_at_two_places_is_reported() -> None:
     seeds = [0, 0, 1, 2, 2, 2, 3]
     lights = [(i, light(seed)) for i, seed in enumerate(seeds)]
     (one,) = doubled_findings(frames(UP), lights)

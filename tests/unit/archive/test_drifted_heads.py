@@ -40,16 +40,16 @@ def test_what_two_heads_drifted_by_is_no_growth(seeds: range) -> None:
         assert abs(size.change) < 1.75 * size.change_k2 and 1.0 < size.change_k2 < 1.3, seed
         wider += size.is_sure
         rounder += bool((np.abs(oval.change) > oval.change_k2).any())
-        said = "no more than the two scans' scales may be off" in pair.diameter_sentence()
-        assert said is not size.is_sure
+        within = "no more than the two scans' scales may be off" in pair.diameter_sentence()
+        assert within is not size.is_sure
     assert wider <= 3 and rounder <= 3  # of ten, where 5 % each are outside k = 2: more come once in a thousand draws
 
 
-def test_what_grew_is_told_all_the_same() -> None:
+def test_what_grew_is_reported_all_the_same() -> None:
     pair = compared(3, replace(STILL, length_mm=2000, grown=2))
     assert 1 <= len(pair.changed) <= 2
-    told = pair.to_dict()["diameter"]
-    assert told["change_mm"] == pytest.approx(told["second_mm"] - told["first_mm"], abs=0.002)
+    change = pair.to_dict()["diameter"]
+    assert change["change_mm"] == pytest.approx(change["second_mm"] - change["first_mm"], abs=0.002)
 
 
 def test_a_map_keeps_what_its_radii_may_be_off_alike() -> None:

@@ -94,7 +94,7 @@ def test_two_sections_measure_the_drift_within_a_scan() -> None:
     assert max(along) > 2e-4  # one section alone does not know of it
 
 
-def test_a_section_that_no_drift_explains_anchors_nothing_and_is_said() -> None:
+def test_a_section_that_no_drift_explains_anchors_nothing_and_is_reported() -> None:
     profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(5))
     scale = find_scale(profiles, head(), [replace(HERE, diameter_mm=160.0)])
     assert scale is not None and not scale.references and scale.part > 1e-3
