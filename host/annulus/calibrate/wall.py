@@ -94,9 +94,12 @@ def measure_wall(
             )
     left = (shift - shares @ fitted) * -slope
     return MeasuredWall(
-        _triple(np.maximum(values, 0.0)), _triple(errors), float(np.mean(middle)) - opaque.pipe_radius_mm,
-        tuple(float(v) for v in left), len(frames),
-    )  # fmt: skip
+        _triple(np.maximum(values, 0.0)),
+        _triple(errors),
+        float(np.mean(middle)) - opaque.pipe_radius_mm,
+        tuple(float(v) for v in left),
+        len(frames),
+    )
 
 
 def save_wall(wall: MeasuredWall, calibration: Path, diameter_u_mm: float) -> None:

@@ -95,13 +95,21 @@ def check(
         raise AnnulusError(f"{scan}: what this kind of head has drifted by cannot be told from its rings")
     lines, wrong = drift_lines(scale, work.sections)
     answer: dict[str, Any] = {
-        "scan": str(scan), "right": not wrong, "lines": lines,
+        "scan": str(scan),
+        "right": not wrong,
+        "lines": lines,
         "sections": [
-            {"from_mm": one.from_mm, "to_mm": one.to_mm, "diameter_mm": one.diameter_mm, "k2_mm": one.diameter_k2_mm,
-             "reads_mm": round(mm, 3), "reads_k2_mm": round(scale.observed_k2_mm, 3)}
+            {
+                "from_mm": one.from_mm,
+                "to_mm": one.to_mm,
+                "diameter_mm": one.diameter_mm,
+                "k2_mm": one.diameter_k2_mm,
+                "reads_mm": round(mm, 3),
+                "reads_k2_mm": round(scale.observed_k2_mm, 3),
+            }
             for one, mm in scale.references
         ],
-    }  # fmt: skip
+    }
     print(json.dumps(answer) if as_json else "\n".join(lines))
     if wrong:
         raise typer.Exit(1)

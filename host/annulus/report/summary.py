@@ -118,19 +118,25 @@ def _scale(survey: Survey) -> dict[str, Any] | None:
     grown = {"ring_size": scale.of("focal", "slide"), "anamorphic": scale.of("anamorphic")}
     return {
         "anchor": anchor(scale, survey.diameter_mean_mm),
-        "common_k2_percent": stored_k2(200.0 * scale.part), "oval_k2_percent": stored_k2(200.0 * scale.oval_part),
+        "common_k2_percent": stored_k2(200.0 * scale.part),
+        "oval_k2_percent": stored_k2(200.0 * scale.oval_part),
         "drifted": {
             name: {"percent": stored(100.0 * value), "k2": stored_k2(200.0 * sigma)}
             for name, (value, sigma) in grown.items()
         },
         "references": [
             {
-                "z_from_mm": stored(one.from_mm), "z_to_mm": stored(one.to_mm), "diameter_mm": one.diameter_mm,
-                "k2": one.diameter_k2_mm, "as_calibrated_mm": stored(mm), "used": used,
+                "z_from_mm": stored(one.from_mm),
+                "z_to_mm": stored(one.to_mm),
+                "diameter_mm": one.diameter_mm,
+                "k2": one.diameter_k2_mm,
+                "as_calibrated_mm": stored(mm),
+                "used": used,
             }
-            for used, sections in ((True, scale.references), (False, scale.refused)) for one, mm, *_ in sections
+            for used, sections in ((True, scale.references), (False, scale.refused))
+            for one, mm, *_ in sections
         ],
-    }  # fmt: skip
+    }
 
 
 def _origin(origin: Origin) -> dict[str, Any]:

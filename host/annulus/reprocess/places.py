@@ -125,9 +125,11 @@ def doubled_findings(frames: Sequence[ScanFrame], lights: Sequence[tuple[int, Ex
     twice = tuple(
         later
         for (earlier, one), (later, other) in pairwise(lights)
-        if one.picture and one.picture == other.picture and not one.dark
+        if one.picture
+        and one.picture == other.picture
+        and not one.dark
         and abs(place.get(later, math.nan) - place.get(earlier, math.nan)) > SAME_MM
-    )  # fmt: skip
+    )
     if not twice:
         return []
     text = (

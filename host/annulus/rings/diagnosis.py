@@ -102,9 +102,13 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     least = int(max(LIT_OF_BRIGHT * bright, 1))
     lit = max(int(above[least]), 1)
     return Exposure(
-        float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some), _glare(top, least),
+        float(bright),
+        float(above[CLIPPED]) / lit,
+        float(lost[CLIPPED]) / lit,
+        _hues(some),
+        _glare(top, least),
         zlib.crc32(some.data),
-    )  # fmt: skip
+    )
 
 
 def _glare(top: NDArray[np.uint8], least: int) -> int:

@@ -66,8 +66,10 @@ class Effects:
     def of(cls, seen: Observations, weight: FloatArray, calibration: Calibration) -> "Effects":
         rings, values = len(calibration.rings), SMALL.values
         bare = cls(seen, weight, calibration, NONE, NONE, NONE, NONE)
-        parts = [bare.moved(Drift.of(np.where(np.arange(len(values)) == i, step, 0.0))) / step
-                 for i, step in enumerate(values)]  # fmt: skip
+        parts = [
+            bare.moved(Drift.of(np.where(np.arange(len(values)) == i, step, 0.0))) / step
+            for i, step in enumerate(values)
+        ]
         terms = np.stack(parts, axis=-1)  # (K, TERMS, 7)
         camera = calibration.camera
         away = np.hypot(*(camera.project(seen.points) - [camera.cx, camera.cy]).T)

@@ -90,6 +90,12 @@ class Optics:
             mean[name] = rate * kelvin
             sigma[name] = math.hypot(STILL[name], KNOWN * rate * kelvin, rate * apart)
         return Prior(
-            sigma["lens"], sigma["slide"], sigma["tube"], ANAMORPHIC, mean["lens"], mean["slide"], mean["tube"],
+            sigma["lens"],
+            sigma["slide"],
+            sigma["tube"],
+            ANAMORPHIC,
+            mean["lens"],
+            mean["slide"],
+            mean["tube"],
             f"the head was {kelvin:+.1f} K from its calibration's temperature",
-        )  # fmt: skip
+        )

@@ -12,9 +12,11 @@ from annulus.geometry.drift import Drift, drifted, seen_with
 PART, MM = st.floats(-0.004, 0.004), st.floats(-0.4, 0.4)
 DRIFTS = st.builds(Drift, PART, PART, MM, PART, MM, MM, MM)
 LENSES = st.sampled_from(
-    [Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5, (-0.05, 0.01, 0.0, 0.0)),
-     Camera("fisheye", 1664, 1232, 470.0, 470.0, 831.5, 615.5, (0.02, -0.004, 0.0, 0.0))]
-)  # fmt: skip
+    [
+        Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5, (-0.05, 0.01, 0.0, 0.0)),
+        Camera("fisheye", 1664, 1232, 470.0, 470.0, 831.5, 615.5, (0.02, -0.004, 0.0, 0.0)),
+    ]
+)
 
 
 def head(camera: Camera) -> Calibration:
@@ -25,9 +27,13 @@ def head(camera: Camera) -> Calibration:
 def on_cones(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     points = [
-        np.array(cone.vertex_mm) + 150.0 * np.stack([np.tan(cone.half_angle) * np.cos(turn),
-        np.tan(cone.half_angle) * np.sin(turn), np.ones(40)], axis=1) for cone in calibration.rings
-    ]  # fmt: skip
+        np.array(cone.vertex_mm)
+        + 150.0
+        * np.stack(
+            [np.tan(cone.half_angle) * np.cos(turn), np.tan(cone.half_angle) * np.sin(turn), np.ones(40)], axis=1
+        )
+        for cone in calibration.rings
+    ]
     return np.concatenate(points), np.repeat(np.arange(3), 40)
 
 

@@ -40,8 +40,12 @@ def test_every_row_says_whose_truth_whose_calibration_which_seeds_how_many_draws
         basis = table(name).basis(topic, cells[0])
         assert basis is not None, f"{name}, {topic}: {cells[0]!r} rests on nothing that claims.py says"
         assert [row[column] for column in RESTS_ON] == [
-            str(basis.truth), basis.calibration, basis.seeds, str(basis.draws), basis.left_out,
-        ], f"{name}, {topic}: {cells[0]!r}"  # fmt: skip
+            str(basis.truth),
+            basis.calibration,
+            basis.seeds,
+            str(basis.draws),
+            basis.left_out,
+        ], f"{name}, {topic}: {cells[0]!r}"
         assert basis.calibration in CALIBRATIONS and basis.seeds in SEEDS and basis.draws > 0 and basis.left_out
 
 

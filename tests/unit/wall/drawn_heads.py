@@ -26,9 +26,16 @@ def head(colours: str = "RRGBGR", camera: Camera | None = None, tube_mm: float =
 
 
 def scan(
-    calibration: Calibration, drift: Drift, radius_mm: float, rng: np.random.Generator, frames: int = 40,
-    step_mm: float = 4.0, noise_mm: float = 0.02, edges_px: float = 0.01, end: Drift | None = None,
-) -> list[Profile]:  # fmt: skip
+    calibration: Calibration,
+    drift: Drift,
+    radius_mm: float,
+    rng: np.random.Generator,
+    frames: int = 40,
+    step_mm: float = 4.0,
+    noise_mm: float = 0.02,
+    edges_px: float = 0.01,
+    end: Drift | None = None,
+) -> list[Profile]:
     """As the head measures it that knows nothing of its drift. end : at the last frame, evenly from the first one's.
     edges_px : each ring's own offset, the same in all frames, standard deviation."""
     rings = len(calibration.rings)
@@ -52,11 +59,19 @@ def scan(
         common = np.tile([edges_px * PX_MM, 0.0115 * PX_MM], (rings, 1)).astype(np.float32)
         out.append(
             Profile(
-                number, z, fit.pose, fit.pose.to_pipe(seen, z).astype(np.float32), np.zeros((len(seen), 3), np.uint8),
-                ring.astype(np.uint8), np.tile(np.arange(DIRECTIONS), rings).astype(np.uint16), fit.robust_sigma_mm,
-                sigma_mm=sigma.astype(np.float32), lean_sigma_deg=fit.lean_sigma_deg, ring_sigma_mm=common,
+                number,
+                z,
+                fit.pose,
+                fit.pose.to_pipe(seen, z).astype(np.float32),
+                np.zeros((len(seen), 3), np.uint8),
+                ring.astype(np.uint8),
+                np.tile(np.arange(DIRECTIONS), rings).astype(np.uint16),
+                fit.robust_sigma_mm,
+                sigma_mm=sigma.astype(np.float32),
+                lean_sigma_deg=fit.lean_sigma_deg,
+                ring_sigma_mm=common,
             )
-        )  # fmt: skip
+        )
     return out
 
 

@@ -115,10 +115,12 @@ def _kept(what: str, said: list[tuple[float, bool]]) -> Row:
     mean, right = np.mean(said, axis=0)
     chance = 2 * math.sqrt(mean * (1 - mean) / len(said))
     return Row(
-        what, "-", "within 3 %",
+        what,
+        "-",
+        "within 3 %",
         f"{100 * mean:.1f} %; {100 * right:.1f} % of {len(said)} (chance {100 * chance:.1f} %)",
         bool(abs(right - mean) < 0.03),
-    )  # fmt: skip
+    )
 
 
 def _threshold(grid: Grid) -> list[float]:

@@ -96,16 +96,36 @@ def rows(heads: int = HEADS) -> list[Row]:
         target = f"<= {WORST_PERCENT} %" if way == 0 else "-"
         covered = float(np.mean(size < k2[way]))
         out += [
-            Row(f"Diameter off the truth, {what}", "-", target,
-                f"median {np.median(size):.4f} %, worst {size.max():.4f} %", worst),
-            Row(f"k = 2 of a diameter, {what}", "-", ">= 93 % of heads",
+            Row(
+                f"Diameter off the truth, {what}",
+                "-",
+                target,
+                f"median {np.median(size):.4f} %, worst {size.max():.4f} %",
+                worst,
+            ),
+            Row(
+                f"k = 2 of a diameter, {what}",
+                "-",
+                ">= 93 % of heads",
                 f"{100 * covered:.1f} % of heads, {100 * inside[way].mean():.1f} % of stations; "
-                f"k = 2 median {np.median(k2[way]):.3f} %", covered >= 0.93),
-            Row(f"Scale over its own sigma, {what}", "-", "worst <= 3", f"rms {np.sqrt(np.mean(common[way]**2)):.2f}, "
-                f"worst {np.abs(common[way]).max():.2f}", bool(np.abs(common[way]).max() <= 3)),
-        ]  # fmt: skip
+                f"k = 2 median {np.median(k2[way]):.3f} %",
+                covered >= 0.93,
+            ),
+            Row(
+                f"Scale over its own sigma, {what}",
+                "-",
+                "worst <= 3",
+                f"rms {np.sqrt(np.mean(common[way] ** 2)):.2f}, worst {np.abs(common[way]).max():.2f}",
+                bool(np.abs(common[way]).max() <= 3),
+            ),
+        ]
     out.append(
-        Row("Drift of the rings' size over 4 of its sigma, named without a section", "-", "all",
-            f"{len(sure) - missed} of {len(sure)}", missed == 0)
-    )  # fmt: skip
+        Row(
+            "Drift of the rings' size over 4 of its sigma, named without a section",
+            "-",
+            "all",
+            f"{len(sure) - missed} of {len(sure)}",
+            missed == 0,
+        )
+    )
     return out

@@ -85,8 +85,13 @@ def _against(what: str, draws: list[Errors], source: tuple[str, str], asked: tup
         ("worst full angle", "worst vertex component"), ("deg", "mm"), source, asked, _columns(draws), strict=True
     ):
         middle = float(np.median(of))
-        yield Row(f"{what}, 8 poses, rounded pixels: {name}", said, f"<= {most:g} {unit}, median",
-                  f"median {middle:.4f}, worst {max(of):.4f} {unit}", middle <= most)  # fmt: skip
+        yield Row(
+            f"{what}, 8 poses, rounded pixels: {name}",
+            said,
+            f"<= {most:g} {unit}, median",
+            f"median {middle:.4f}, worst {max(of):.4f} {unit}",
+            middle <= most,
+        )
 
 
 def _each_alone(seen: Observations) -> Errors:
