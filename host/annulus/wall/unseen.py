@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.wall.extent import as_large
 from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall
 from annulus.wall.indications import Scale, label_around
@@ -22,6 +22,10 @@ END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may 
 SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
 MOSTLY = 0.5  # of the looks that pass a place, or of a hole's cells: what tells its cause
 SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
+# A hole is named by the box about it. Where dirt or a wet wall loses light all about, holes hang together as a web, and
+# its box is the pipe: one that fills less of a larger box is halved. Held by regression web_of_holes_named_as_one.
+FILLED = 0.5  # part of its box that a hole fills
+ONE_LOOK_OF_RADIUS = 1.0  # of the radius, both ways: a box so small is looked at as a whole
 RODS = "not seen: a strip as a rod hides one"
 BAND = (
     "not seen: hardly a ring's light comes back from this strip all along the scan, and it is wider than a rod's: "
@@ -74,8 +78,7 @@ def find_holes(
     first, last = wall.extent[:2]
     end = scale.mm(END_OF_RADIUS)
     label, n = label_around(scale.around(rest, near))  # ragged pieces of one hole are one place
-    for i in range(1, n + 1):
-        part = rest & (label == i)
+    for part in (piece for i in range(1, n + 1) for piece in _compact(rest & (label == i), scale)):
         rows = wall.z_mm[part.any(axis=1)]
         of = np.count_nonzero(part)
         if lost is not None and (part & lost).sum() > SWALLOWED * of:
@@ -89,6 +92,33 @@ def find_holes(
             yield part, UNKNOWN, False
         else:
             yield part, NONE if (passed[part] == 0).mean() > MOSTLY else DOUBTED, False
+
+
+def _compact(hole: BoolArray, scale: Scale) -> Iterator[BoolArray]:
+    """The parts of a hole (Z, A), halved until each fills most of its box or is small."""
+    start = round(arc_of(np.asarray(hole.any(axis=0)), 1.0)[0])
+    turned = np.roll(hole, -start, axis=1)
+    look = [scale.mm(ONE_LOOK_OF_RADIUS) / size for size in scale.cell_mm]  # cells
+    left = [(slice(0, turned.shape[0]), slice(0, turned.shape[1]))]
+    while left:
+        box = left.pop()
+        if not turned[box].any():
+            continue
+        ((rows, columns),) = ndimage.find_objects(turned[box].astype(np.int8))
+        rows, columns = (
+            slice(was.start + now.start, was.start + now.stop) for was, now in zip(box, (rows, columns), strict=True)
+        )
+        lengths = [(one.stop - one.start) / most for one, most in zip((rows, columns), look, strict=True)]
+        if max(lengths) <= 1.0 or turned[rows, columns].mean() >= FILLED:
+            part = np.zeros_like(hole)
+            part[rows, columns] = turned[rows, columns]
+            yield np.roll(part, start, axis=1)
+        elif lengths[0] > lengths[1]:
+            middle = (rows.start + rows.stop) // 2
+            left += [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]
+        else:
+            middle = (columns.start + columns.stop) // 2
+            left += [(rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop))]
 
 
 def runs(mask: BoolArray) -> FloatArray:

@@ -1,0 +1,57 @@
+"""Where a wet or dirty wall lost light all about, all holes that touched were one place, "not seen, from 80 to 320 mm,
+from 5:00 to 10:00", a third of which was dark. Fails where `_compact` gives back what it is given."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from annulus.wall.indications import Scale
+from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, _compact
+
+CELL_MM, RADIUS_MM = (2.0, 1.33), 76.2
+SHAPE = 150, 360  # 300 mm of a 6-inch pipe
+
+
+def scale() -> Any:
+    limits = SimpleNamespace(size_of_radius=0.04)
+    return cast(Scale, SimpleNamespace(cell_mm=CELL_MM, limits=limits, mm=lambda part: part * RADIUS_MM))
+
+
+def extent(part: np.ndarray) -> tuple[int, int]:
+    """Rows and columns of the box about it, however it lies about the seam."""
+    columns = np.flatnonzero(part.any(axis=0))
+    gaps = np.diff(np.append(columns, columns[0] + part.shape[1]))
+    rows = np.flatnonzero(part.any(axis=1))
+    return int(rows[-1] - rows[0] + 1), int(part.shape[1] - gaps.max() + 1)
+
+
+def web(seed: int) -> np.ndarray:
+    """Stripes both ways, a third of the wall, over the seam."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros(SHAPE, bool)
+    out[np.sort(rng.choice(SHAPE[0], 25, replace=False)), 60:340] = True
+    out[:, np.sort(rng.choice(280, 50, replace=False)) + 60] = True
+    return np.roll(out, 200, axis=1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_each_place_is_mostly_dark_or_small(seed: int) -> None:
+    hole = web(seed)
+    parts = list(_compact(hole, scale()))
+    assert (np.sum(parts, axis=0) == hole).all(), "all of it, and nothing twice"
+    look = [ONE_LOOK_OF_RADIUS * RADIUS_MM / size for size in CELL_MM]
+    for part in parts:
+        rows, columns = extent(part)
+        assert part.sum() >= FILLED * rows * columns or (rows <= look[0] and columns <= look[1])
+    # each at least half as long both ways as one look, but for what is left over at the sides
+    assert len(parts) <= 4 * np.ceil(SHAPE[0] / look[0]) * np.ceil(SHAPE[1] / look[1])
+
+
+def test_a_hole_that_fills_its_box_is_one_place() -> None:
+    hole = np.zeros(SHAPE, bool)
+    hole[10:140, 340:] = hole[10:140, :60] = True
+    hole[30:60, 20:40] = False
+    (part,) = _compact(hole, scale())
+    assert (part == hole).all()
