@@ -267,7 +267,9 @@ def _measured(
         depth, edge_only = agreed, True  # a lower limit, which what one look says does not make less sure
     position = _extent(whole, sound, wall)
     area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
-    seen = floor_seen and not edge_only
+    own_shadow = depth * ratios[1] + scale.mm(limits.size_of_radius)
+    goes_on = _dark_run(core, unseen, one.kind) * wall.z_step_mm > own_shadow
+    seen = floor_seen and not edge_only and not goes_on
     defect = Defect(one.kind, *position, max(depth, 0.0), area, seen, k2, float(np.median(hidden)), why)
     if points is not None and _is_groove(defect, scale):
         floor = groove_floor(wall, points(), defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
@@ -336,6 +338,16 @@ def _is_cut_off(deepest: BoolArray, kind: Kind, dark: BoolArray, scale: Scale) -
         if lined * scale.cell_mm[axis] >= size and lined > CUT_OFF * np.count_nonzero(long):
             return True
     return False
+
+
+def _dark_run(place: BoolArray, unseen: BoolArray, kind: Kind) -> float:
+    """Rows that nobody saw on the side where a place's own rim throws its shadow, before a loss and behind a bump, from
+    its own first ones on: the median over its columns."""
+    columns = place.any(axis=0)
+    mine, dark = (mask[:, columns] if kind is Kind.LOSS else mask[::-1, columns] for mask in (place, unseen))
+    before = np.arange(len(mine))[:, None] < mine.argmax(axis=0)
+    ends = np.where(before & ~dark, np.arange(len(mine))[:, None], -1).max(axis=0)  # the last that was seen
+    return float(np.median(mine.argmax(axis=0) - 1 - ends))
 
 
 def _borders(deepest: BoolArray, unknown: BoolArray) -> float:

@@ -24,8 +24,8 @@ MOSTLY = 0.5  # of the looks that pass a place, or of a hole's cells: what tells
 SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
 # A hole is named by the box about it. Where dirt or a wet wall loses light all about, holes hang together as a web, and
 # its box is the pipe: one that fills less of a larger box is halved. Held by regression web_of_holes_named_as_one.
-FILLED = 0.5  # part of its box that a hole fills
-ONE_LOOK_OF_RADIUS = 1.0  # of the radius, both ways: a box so small is looked at as a whole
+FILLED = 0.75  # part of its box that a hole fills
+ONE_LOOK_OF_RADIUS = 0.5, 1.0  # of the radius, along and round the pipe: a box so small is looked at as a whole
 RODS = "not seen: a strip as a rod hides one"
 BAND = (
     "not seen: hardly a ring's light comes back from this strip all along the scan, and it is wider than a rod's: "
@@ -98,7 +98,7 @@ def _compact(hole: BoolArray, scale: Scale) -> Iterator[BoolArray]:
     """The parts of a hole (Z, A), halved until each fills most of its box or is small."""
     start = round(arc_of(np.asarray(hole.any(axis=0)), 1.0)[0])
     turned = np.roll(hole, -start, axis=1)
-    look = [scale.mm(ONE_LOOK_OF_RADIUS) / size for size in scale.cell_mm]  # cells
+    look = [scale.mm(most) / size for most, size in zip(ONE_LOOK_OF_RADIUS, scale.cell_mm, strict=True)]  # cells
     left = [(slice(0, turned.shape[0]), slice(0, turned.shape[1]))]
     while left:
         box = left.pop()

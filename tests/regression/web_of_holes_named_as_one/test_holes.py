@@ -41,7 +41,7 @@ def test_each_place_is_mostly_dark_or_small(seed: int) -> None:
     hole = web(seed)
     parts = list(_compact(hole, scale()))
     assert (np.sum(parts, axis=0) == hole).all(), "all of it, and nothing twice"
-    look = [ONE_LOOK_OF_RADIUS * RADIUS_MM / size for size in CELL_MM]
+    look = [most * RADIUS_MM / size for most, size in zip(ONE_LOOK_OF_RADIUS, CELL_MM, strict=True)]
     for part in parts:
         rows, columns = extent(part)
         assert part.sum() >= FILLED * rows * columns or (rows <= look[0] and columns <= look[1])

@@ -169,6 +169,17 @@ def test_a_place_speaks_of_a_thing_only_where_it_speaks_of_little_else() -> None
     assert not is_not_established(SMALL, results(places=({**place, "limits": ["joint"]},)), 70.0)
 
 
+def test_of_a_hole_that_is_dark_throughout_a_place_says_no_more_than_is_true() -> None:
+    wide = {"limits": ["loss"], "z_from_mm": 60.0, "z_to_mm": 380.0, "clock_deg": 90.0, "arc_deg": 150.0}
+    seen_z, seen = np.arange(50.0, 400.0, 2.0), np.ones((175, 360), bool)
+    seen[5:165, 15:165] = False
+    hole = replace(results(places=(wide,)), seen=seen, seen_z_mm=seen_z)
+    assert is_not_established(SMALL, hole, 70.0)
+    half = seen.copy()
+    half[5:165:2] = True
+    assert not is_not_established(SMALL, replace(hole, seen=half), 70.0)
+
+
 def test_a_pipe_conforms_falsely_where_a_thing_over_its_limit_is_passed_over() -> None:
     scene = scene_with(SMALL)
     assert score(scene, results(decision="conforms")).falsely_conforms

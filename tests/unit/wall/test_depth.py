@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from synthetic_pipe import RADIUS_MM, SHADOW_RATIO, round_pipe, scan
+from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, pocket, round_pipe, scan, turn
 
 from annulus.wall.defects import find_defects
 from annulus.wall.grid import Observations, Wall, build_wall
 from annulus.wall.indications import Indication, Kind, Limits, Scale, depth_of
+from annulus.wall.survey import survey
 
 Z, A = 60, 360
 NOISE_MM = 0.06
@@ -93,3 +94,15 @@ def test_rows_wider_than_a_slit_take_no_top_off_a_crest() -> None:
     wall = build_wall(scan(dented), z_step_mm=5.0)
     (dent,) = find_defects(wall, shadow_ratio=SHADOW_RATIO).defects
     assert abs(dent.depth_mm - 3.0) < 0.1  # mm; it was 0.2
+
+
+@pytest.mark.parametrize(("hidden_mm", "seen"), [(0.0, True), (18.0, False)])
+def test_a_floor_that_was_not_seen_farther_than_its_rim_hides_is_a_lower_bound(hidden_mm: float, seen: bool) -> None:
+    profiles = []
+    for one in scan(pocket(round_pipe, 60, 9, 140, 166, 1.5)):
+        x, y, z = one.points_mm.T
+        away = np.abs(turn(np.degrees(np.arctan2(x, -y)), 60.0))
+        profiles.append(one.without((away < 12.0) & (z > 150.0 - hidden_mm) & (z < 150.0), "swallowed"))
+    (loss,) = survey(profiles, CALIBRATION).defects
+    assert loss.floor_seen == seen
+    assert loss.depth_mm == pytest.approx(1.5, abs=0.15)

@@ -1,7 +1,7 @@
 """One pipe's results against its truth: what was found, what was made up, and every number with its k = 2."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -41,6 +41,7 @@ INSIDE = 0.6  # of a thing's length must have been scanned, or nobody could list
 # than what an inspector looks at in one go.
 LOCAL, LOOK_OF_RADIUS, LOOK_DEG = 4.0, 0.5, 60.0
 NOT_SEEN = "not seen"  # in the reason of a place that is a hole in the map
+DARK = 0.9  # of a place's area: a hole in the map throughout; of that it says no more than is true, however large it is
 COVERED = 0.5  # of a thing's area that such places must cover
 OVAL_LEAST = 0.4  # of what is listed: a pipe that is less oval than that is none
 SURE = 3.0  # times k = 2: a depth that is off by more is wrong, whatever coverage is
@@ -247,10 +248,23 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
         is_short, is_narrow = last - first <= longest, arc <= widest
         # of what was not seen at all it says so: all round behind a bead, or along a rod's whole shadow
         is_local = is_short or is_narrow if NOT_SEEN in place.get("reason", "") else is_short and is_narrow
+        is_local = is_local or is_dark(place, results)
         if kind in place["limits"] and is_local:
             around = np.abs(away_deg(clock, place["clock_deg"])) <= arc / 2 + 1.0
             covered |= (z >= first - 1.0) & (z <= last + 1.0) & around
     return bool(covered.mean() >= COVERED)
+
+
+def is_dark(place: Mapping[str, Any], results: Results) -> bool:
+    """Whether nothing was seen in all but a tenth of a place's cells."""
+    if not results.seen.size:
+        return False
+    rows = (results.seen_z_mm >= place["z_from_mm"]) & (results.seen_z_mm <= place["z_to_mm"])
+    columns = results.seen.shape[1]
+    clock = (np.arange(columns) + 0.5) * 360.0 / columns
+    around = np.abs(away_deg(clock, place["clock_deg"])) <= place["arc_deg"] / 2
+    cells = results.seen[rows][:, around]
+    return bool(cells.size) and float(cells.mean()) <= 1.0 - DARK
 
 
 def is_false(line: Listed, scene: Scene, outcomes: Sequence[Outcome]) -> bool:
