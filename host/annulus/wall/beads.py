@@ -11,6 +11,7 @@ A wall that swells stands inwards all round as a bead does, but not as steeply: 
 flank climbs within its own height. What climbs over a longer way is no bead.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,13 +37,15 @@ FORM_SIGMA = 0.25  # of a width: how far a bead is from two rolls alike; caps an
 # that undulate 0.4 at most. Guarded both ways by tests/regression/wall_that_undulates_called_butt_fusion.
 CLIMBS, SHOULDER = 0.5, 0.6
 QUARTERS = 0.006 * np.arange(1.0, 17.0, 0.1)  # of the radius: a quarter of the width of any bead, from least to most
-ALIKE, ALIKE_POINTS = 1.1, 5  # times as many points in the wrong place, and so many more: a width as good as the best
+LOOKS = 1.0  # so many more looks in the wrong place: a width as good as the best, for a look's points err together
+LOOK_POINTS = 36  # a look of fewer counts for less than one
 
 
 @dataclass(frozen=True, slots=True)
 class Bead:
-    """mm along the pipe, and how far it stands into it; k2 of height and width. climbs : part of its height that its
-    flank was seen to climb within its own height; may_climb : the same if it did so where nobody saw."""
+    """mm along the pipe, and how far it stands into it; k2 of height and width, NaN where the width is no bead's.
+    climbs : part of its height that its flank was seen to climb within its own height; may_climb : the same if it did
+    so where nobody saw."""
 
     start_mm: float
     width_mm: float
@@ -72,7 +75,8 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
     reads low. Width: with a the quarter of it, s the near flank at half height, h the height and q a
     ring's shadow ratio, light comes down again at s + 3a + sqrt((h q)^2 + a^2), the tangent to a second roll that is
     half an ellipse; a is that for which the fewest points are low before, or stand high after, where the light that
-    made them would have come down.
+    made them would have come down. Frames and rings are few about a bead, and the points of a ring in one frame err
+    together: any width is as good for which no more than a whole look more is wrong.
     """
     radius = wall.mean_radius_mm
     inside = (points.z_mm >= zone[0]) & (points.z_mm <= zone[1])
@@ -91,11 +95,16 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
     lands, low = points.z_mm[behind] + stands * ratio, stands < LOW * height
     quarters = QUARTERS * radius
     lit = start + BESIDE * slit - lands
-    wrong = [np.count_nonzero(low == (lit + 3 * a + np.sqrt((height * ratio) ** 2 + a * a) > 0)) for a in quarters]
-    width = 4.0 * float(quarters[wrong == np.min(wrong)].mean())
-    alike = 4.0 * np.ptp(quarters[wrong <= ALIKE * np.min(wrong) + ALIKE_POINTS]) / 2
+    misplaced = [low == (lit + 3 * a + np.sqrt((height * ratio) ** 2 + a * a) > 0) for a in quarters]
+    wrong = np.count_nonzero(misplaced, axis=1)
+    width = 4.0 * float(quarters[wrong == wrong.min()].mean())
+    _, look, count = np.unique(points.look[behind], return_inverse=True, return_counts=True)
+    looks = np.array(misplaced) @ (1.0 / np.maximum(count, LOOK_POINTS))[look]
+    alike = float(np.abs(4.0 * quarters[looks <= looks.min() + LOOKS] - width).max())
     slit_sigma = BESIDE_SIGMA * float(np.median(slit)) * 4.0 / 3.0
     width_k2 = float(np.linalg.norm([alike, 2.0 * slit_sigma, 2.0 * FORM_SIGMA * width]))
+    if width < height:  # no bead is narrower than it is high: light came back sooner than rolls let it
+        width_k2 = math.nan
     # a bead uneven all round is seen as unevenly
     spread = np.hypot(float(np.std(sectors)) / 2 if len(sectors) else np.nan, READS_LOW / 2 * rise)
     stated = points.stated_mm[inside]

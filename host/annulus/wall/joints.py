@@ -274,7 +274,8 @@ def _joint(
         form, bead = _Form.BETWEEN, None
     if bead is not None and bead.is_sure:
         measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
-        measures.append(Measure("width_mm", bead.width_mm, bead.width_k2_mm))
+        width = math.nan if math.isnan(bead.width_k2_mm) else bead.width_mm
+        measures.append(Measure("width_mm", width, bead.width_k2_mm))
         end = bead.start_mm + bead.width_mm
         first, last = min(first, bead.start_mm), max(last, end)
         middle, length = (bead.start_mm + end) / 2, bead.width_mm

@@ -22,7 +22,7 @@ SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no j
 class Points:
     """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
     off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm; its
-    radius, mm, and clock angle."""
+    radius, mm, and clock angle; the look, one ring in one frame, that it is of."""
 
     z_mm: FloatArray
     sector: NDArray[np.intp]
@@ -32,6 +32,7 @@ class Points:
     slit_mm: FloatArray
     radius_mm: FloatArray
     clock_deg: FloatArray
+    look: NDArray[np.intp]
 
     @classmethod
     def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "Points":
@@ -40,11 +41,14 @@ class Points:
         row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
         shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
         sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
-        ratio = shadow_ratios[np.concatenate([profile.ring for profile in profiles])]
+        ring = np.concatenate([profile.ring for profile in profiles]).astype(np.intp)
+        ratio = shadow_ratios[ring]
+        frame = np.repeat(np.arange(len(profiles)), [len(profile.ring) for profile in profiles])
         half = np.concatenate([p.slit_rad[p.ring] if len(p.slit_rad) else np.zeros(len(p.ring)) for p in profiles])
         slit = np.where(half > 0, half * (1.0 + ratio**2), SLIT_OF_RADIUS / 2) * wall.mean_radius_mm
         sector = (clock * SECTORS / 360.0).astype(np.intp)
-        return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock)
+        look = frame * len(shadow_ratios) + ring
+        return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock, look)
 
     def between(self, first_mm: float, last_mm: float) -> "Points":
         """Those of a stretch; a long scan has ten millions."""

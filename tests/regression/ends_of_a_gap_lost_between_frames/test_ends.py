@@ -19,7 +19,17 @@ def measured(gap: float, every_mm: float, noise_mm: float, seed: int) -> tuple[f
     stands = np.where(np.abs(z - AT_MM) < gap / 2 + HALF_SLIT_MM, -DEEP_MM, rng.normal(0, noise_mm, len(z)))
     same = np.ones(len(z))
     sector = (clock // 10).astype(np.intp)
-    points = Points(z, sector, stands, 0.05 * same, 2.0 * same, HALF_SLIT_MM * same, RADIUS_MM - stands, clock)
+    points = Points(
+        z,
+        sector,
+        stands,
+        0.05 * same,
+        2.0 * same,
+        HALF_SLIT_MM * same,
+        RADIUS_MM - stands,
+        clock,
+        np.zeros_like(sector),
+    )
     half = gap / 2 + HALF_SLIT_MM + every_mm
     return _gap(even_wall(), points, (AT_MM - half, AT_MM + half), max(0.005 * RADIUS_MM, 5.0 * noise_mm))
 

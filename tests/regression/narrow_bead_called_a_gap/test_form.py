@@ -30,7 +30,15 @@ def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Po
     count = len(sector)
     none = np.zeros(count)
     return Points(
-        np.full(count, 154.0), sector, BEFORE_MM - radius, none, none, none, radius, (sector + 0.5) * 360.0 / SECTORS
+        np.full(count, 154.0),
+        sector,
+        BEFORE_MM - radius,
+        none,
+        none,
+        none,
+        radius,
+        (sector + 0.5) * 360.0 / SECTORS,
+        np.zeros_like(sector),
     )
 
 

@@ -19,7 +19,9 @@ def _measured(gap: float, askew_mm: float, half_slit: float) -> tuple[float, flo
     stands = np.where(open_, -DEEP_MM, 0.0)
     same = np.ones(len(z))
     sector = (clock // 10).astype(np.intp)
-    points = Points(z, sector, stands, 0.05 * same, 2.0 * same, half_slit * same, RADIUS_MM - stands, clock)
+    points = Points(
+        z, sector, stands, 0.05 * same, 2.0 * same, half_slit * same, RADIUS_MM - stands, clock, np.zeros_like(sector)
+    )
     return _gap(
         even_wall(), points, (AT_MM - gap / 2 - half_slit - 2, AT_MM + gap / 2 + half_slit + 2), 0.005 * RADIUS_MM
     )
