@@ -116,7 +116,10 @@ def save_fringe(result: FringeCalibration, path: Path) -> None:
             for one in head.cameras
         ],
         "camera": None,
-        "pattern": {"kind": "fringe", "projector": told["projector"], "k_rad": told["k_rad"], "sigma": told["sigma"]},
+        "pattern": {
+            "kind": "fringe", "projector": told["projector"], "k_rad": told["k_rad"], "sigma": told["sigma"],
+            "rms_rad": told["rms_rad"],
+        },
         "transfer": curves.get("", curves),
         "motion": list(head.motion),
         "distance_mm": head.distance_mm,

@@ -1,8 +1,8 @@
 """A head that projects fringes, as calibration.json has it: cameras, slide, curves, the wall it stands before.
 
-`annulus-calibration/2` with "pattern": {"kind": "fringe", "projector": {..}}. Beside it "transfer" (see `transfer`),
-"motion" (unit vector, the first camera's frame; x where missing) and the wall: "distance_mm" of a plate across the
-first camera's axis, or "pipe" with its radius: such a file is a `Calibration` too.
+`annulus-calibration/2` with "pattern": {"kind": "fringe", "projector": {..}, "rms_rad": of the phase about it}. Beside
+it "transfer" (see `transfer`), "motion" (unit vector, the first camera's frame; x where missing) and the wall:
+"distance_mm" of a plate across the first camera's axis, or "pipe" with its radius: such a file is a `Calibration` too.
 
 A head that lights a pipe all around by several slides, in turn, has "projectors": [{.., "cameras": [ids that look at
 its light], "slots": [places in the lamp cycle at which it is lit]}, ..] in place of "projector"; without "slots" it is
@@ -51,7 +51,8 @@ class Lamp:
 class FringeHead:
     """What is known of the head; `projector` None where the file is only about to be calibrated, or has `lamps`.
     distance_mm : of a plate, height 0, from the first camera along its axis; radius_mm : of a pipe. None where the wall
-    is another. mount : rotation and translation_mm of a pipe's frame."""
+    is another. mount : rotation and translation_mm of a pipe's frame. rms_rad : of the phase about the slide, as its
+    calibration on a plate left it."""
 
     cameras: tuple[HeadCamera, ...]
     projector: FringeProjector | None
@@ -61,6 +62,7 @@ class FringeHead:
     radius_mm: float | None = None
     lamps: tuple[Lamp, ...] = ()
     mount: tuple[Matrix, Vector] = (STILL, (0.0, 0.0, 0.0))
+    rms_rad: float = 0.0
 
     @staticmethod
     def from_dict(data: object) -> "FringeHead":
@@ -89,6 +91,7 @@ class FringeHead:
             None if radius is None else untrusted.within(radius, '"pipe.radius_mm"', RADIUS_MIN_MM, RADIUS_MAX_MM),
             () if lamps is None else _lamps(lamps, cameras),
             placement_from_dict(pipe, "pipe") if "rotation" in pipe else (STILL, (0.0, 0.0, 0.0)),
+            untrusted.within(pattern.get("rms_rad", 0.0), '"pattern.rms_rad"', 0.0, np.pi),
         )
 
     def eyes(self) -> tuple[tuple[Eye, int, tuple[int, ...]], ...]:

@@ -226,7 +226,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     for (one, images, which, _), noise in zip(taken if job.by == "slide" else [], noises, strict=False):
         view = View.of(one, job.projector, place[which, None] * ahead)
         found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
-        told.append(_certain(view, grid, found))
+        told.append(_certain(view, grid, found, job.head.rms_rad))
         blurs.append(blur or cell / 2)
     both = merged(told)
     apart = _apart(told)
@@ -287,16 +287,18 @@ def _misfit(found: Heights) -> float:
     return float(np.median(share)) if len(share) else 0.0
 
 
-def _certain(view: View, grid: Points, found: Heights) -> Heights:
+def _certain(view: View, grid: Points, found: Heights, rms_rad: float) -> Heights:
     """Without the heights that are none: farther than half a fringe from the plate where the fit began, or known to
-    less than a phase is worth."""
+    less than a phase is worth. Sigma has the calibration's own: what the slide's phase was off on the plate it was
+    calibrated on lies as far about here, and no number of frames makes it less."""
     rate = np.abs(view.radians_per_mm(grid, np.zeros(len(grid.base))))
     with np.errstate(invalid="ignore"):
         far, vague = np.abs(found.height_mm) * rate > np.pi, found.sigma_mm * rate > VAGUE_RAD
     gone = found.flag == GOOD
     flag = np.where(gone & far, AMBIGUOUS, np.where(gone & vague, UNMODULATED, found.flag))
     lost = far | vague
-    height, sigma = (np.where(lost, np.nan, one) for one in (found.height_mm, found.sigma_mm))
+    sigma = np.hypot(found.sigma_mm, rms_rad / np.maximum(rate, 1e-9))
+    height, sigma = (np.where(lost, np.nan, one) for one in (found.height_mm, sigma))
     return replace(found, height_mm=height, sigma_mm=sigma, flag=flag.astype(float))
 
 

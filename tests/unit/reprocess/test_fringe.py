@@ -78,6 +78,7 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     save_fringe(result, out)
     assert fringes_on(out, out) == "plate"
     assert result.to_dict()["sigma"]["across_mm"] < 0.1
+    assert json.loads(out.read_text())["pattern"]["rms_rad"] == pytest.approx(result.found.rms_rad)
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan"), out))
     told = np.isfinite(plate.height_mm)
     assert plate.completeness > 0.95
@@ -249,6 +250,20 @@ def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plate]:
     folder = tmp_path_factory.mktemp("right")
     path = scan(folder / "scan")
     return path, reconstruct_fringe(open_fringe(path, calibration(folder)))
+
+
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
+def test_sigma_has_what_the_slides_own_calibration_left(right: tuple[Path, Plate], tmp_path: Path) -> None:
+    path, known = right
+    plate = reconstruct_fringe(
+        open_fringe(path, calibration(tmp_path, pattern={**slide()["pattern"], "rms_rad": 0.05}))
+    )
+    grown = np.sqrt(plate.sigma_mm**2 - known.sigma_mm**2)
+    rate_mm = 0.05 / grown[np.isfinite(grown) & (grown > 0)]  # radians a mm of height
+    assert 0.2 < np.median(rate_mm) < 5.0
+    assert np.percentile(rate_mm, 95) < 3.0 * np.percentile(rate_mm, 5)
+    moved = np.abs(plate.height_mm - known.height_mm)  # of two cameras, as each is weighed
+    assert np.nanmedian(moved) < 0.1 * np.nanmedian(plate.sigma_mm)
 
 
 @pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
