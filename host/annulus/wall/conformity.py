@@ -265,8 +265,7 @@ def _of_place(group: Group, index: int, place: Defect, survey: Survey, criteria:
 
 def _of_feature(index: int, feature: Feature, criteria: Criteria) -> Iterator[Judged]:
     told = not feature.remark.startswith(NOT_TOLD)
-    # two pipes whose ends stand apart are a joint as well: they may lie aside of one another
-    for kind in (feature.kind, FeatureKind.JOINT) if feature.kind is FeatureKind.GAP else (feature.kind,):
+    for kind in _kinds(feature):
         for quantity in _limited(criteria, kind):
             name = _MEASURED.get(quantity, quantity)
             found = next((one for one in feature.measures if one.name == name), None)
@@ -274,6 +273,16 @@ def _of_feature(index: int, feature: Feature, criteria: Criteria) -> Iterator[Ju
                 continue  # a coupling has no bead
             value, k2 = (math.nan, math.nan) if found is None else (abs(found.value), found.k2)
             yield _item(criteria, "feature", index, kind, quantity, value, k2, feature.z_mm)
+
+
+def _kinds(feature: Feature) -> tuple[FeatureKind, ...]:
+    """Whose limits it has. Two pipes whose ends stand apart are a joint as well: they may lie aside of one another. A
+    branch some of whose rim stands in may be a tee."""
+    if feature.kind is FeatureKind.GAP:
+        return feature.kind, FeatureKind.JOINT
+    if feature.kind is FeatureKind.BRANCH and any(one.name == "protrusion_mm" for one in feature.measures):
+        return feature.kind, FeatureKind.TEE
+    return (feature.kind,)
 
 
 def _of_pipe(survey: Survey, criteria: Criteria) -> Iterator[Judged]:

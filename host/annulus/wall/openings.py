@@ -10,6 +10,7 @@ circle within a tenth of a millimetre. The sides and the near half are where rin
 near side rings end early or late: by how much, the same for all of them, is fitted with the circle.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -72,6 +73,7 @@ class _Bore:
     stands_mm: float = 0.0  # 0 for a branch
     stands_sigma_mm: float = 0.0
     rim_mm: float = 0.0  # the rim's outer radius
+    may_stand: bool = False  # some of its rim stands in, and not enough of it to measure
     late_mm: float = 0.0
     sigma_mm: float = np.inf  # of the radius
     scatter_mm: float = np.inf  # of the face about the circle
@@ -96,7 +98,8 @@ def find_openings(
     Notes
     -----
     Place and inner_d_mm are of the circle, seen along the bore's axis. Of a tee, protrusion_mm is how far its rim, cut
-    square, stands into the pipe, and length and arc are those of the rim's outside.
+    square, stands into the pipe, and length and arc are those of the rim's outside. A rim cut square stands out before
+    and behind a wide bore only: a branch with some of that has a protrusion_mm of NaN.
     """
     explained = np.zeros(wall.radius_mm.shape, dtype=bool)
     if not len(calibration.rings) or not any(p.pose is not None and len(p.points_mm) for p in profiles):
@@ -292,13 +295,14 @@ def _rim(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore:
     standing = [float(inwards[part].mean()) >= 0.5 for part in _sides(about, across, along) if len(part) > 5]
     beside = inwards & (np.abs(along) < 0.7 * bore.radius_mm) & (away < bore.radius_mm + RIM_WIDTH * size)
     if sum(standing) < RIM_SIDES * SIDES or np.count_nonzero(beside) < 10:
-        return replace(bore, stands_mm=0.0, rim_mm=0.0)
+        return replace(bore, stands_mm=0.0, rim_mm=0.0, may_stand=any(standing))
     height = bore.wall_mm - points.radius_mm * np.cos(angle)
     high = beside & (height > 0.85 * np.percentile(height[beside], 75))
     sigma = robust_sigma(height[high] - np.median(height[high])) / np.sqrt(
         len(np.unique(looks.view[points.look[high]]))
     )
     outside = float(np.percentile(away[high], 97))
+    bore = replace(bore, may_stand=False)
     return replace(bore, stands_mm=float(np.median(height[high])), stands_sigma_mm=float(sigma), rim_mm=outside)
 
 
@@ -391,6 +395,8 @@ def _feature(bore: _Bore, point_mm: float) -> Feature:
     if bore.stands_mm:
         sigma = np.linalg.norm([bore.stands_sigma_mm, RIM * bore.wall_mm, ALIKE * point_mm])
         measures.append(Measure("protrusion_mm", bore.stands_mm, 2 * float(sigma)))
+    elif bore.may_stand:
+        measures.append(Measure("protrusion_mm", math.nan))
     kind = FeatureKind.TEE if bore.stands_mm else FeatureKind.BRANCH
     return Feature(kind, bore.z_mm, 2 * reach, bore.clock_deg, arc, tuple(measures))
 
