@@ -95,11 +95,11 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
     lands, low = points.z_mm[behind] + stands * ratio, stands < LOW * height
     quarters = QUARTERS * radius
     lit = start + BESIDE * slit - lands
-    misplaced = [low == (lit + 3 * a + np.sqrt((height * ratio) ** 2 + a * a) > 0) for a in quarters]
-    wrong = np.count_nonzero(misplaced, axis=1)
-    width = 4.0 * float(quarters[wrong == wrong.min()].mean())
     _, look, count = np.unique(points.look[behind], return_inverse=True, return_counts=True)
-    looks = np.array(misplaced) @ (1.0 / np.maximum(count, LOOK_POINTS))[look]
+    part = (1.0 / np.maximum(count, LOOK_POINTS))[look]
+    misplaced = (low == (lit + 3 * a + np.sqrt((height * ratio) ** 2 + a * a) > 0) for a in quarters)
+    wrong, looks = np.array([(np.count_nonzero(one), part[one].sum()) for one in misplaced]).T
+    width = 4.0 * float(quarters[wrong == wrong.min()].mean())
     alike = float(np.abs(4.0 * quarters[looks <= looks.min() + LOOKS] - width).max())
     slit_sigma = BESIDE_SIGMA * float(np.median(slit)) * 4.0 / 3.0
     width_k2 = float(np.linalg.norm([alike, 2.0 * slit_sigma, 2.0 * FORM_SIGMA * width]))

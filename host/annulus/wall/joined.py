@@ -185,7 +185,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
         vibration=None, features=tuple(features), centreline=centreline_of(parts), disbelieved=(*findings, *more),
         nominal_diameter_mm=first.nominal_diameter_mm, timing_ms=dict(timing), cameras=first.cameras, light=first.light,
         rings_lost=lost, sums=sums,
-        unjudged=in_one([one for survey in surveys for one in survey.unjudged], TOUCH_MM + step), scale=first.scale,
+        unjudged=in_one([survey.unjudged for survey in surveys], TOUCH_MM + step), scale=first.scale,
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ ASIDE_OF_RADIUS = 0.08  # nearer to an end of the scan a joint has wall on one s
 ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
 SAMPLES = 3  # steps in the smallest defect: finer would find no larger patch
 FINE_ROWS_MAX = 40_000  # bounds memory
-LISTED_MAX = 100  # places of a kind and reason; more are told as one
+LISTED_MAX = 400  # places of a kind and reason; more are told as one
 OF_WALL = ("loss", "bump")
 OF_HOLES = (*OF_WALL, "bore", "tee")
 OF_ROWS = ("joint", "gap", "water", "deposit")
@@ -100,8 +100,8 @@ def find_unjudged(
     hidden = ~wall.seen & ~listed & (~explained | joints[:, None])
     holes = as_large(unseen, scale)
     found = [
-        Unjudged(OF_HOLES, reason, *_span(wall, part), usual=usual)
-        for part, reason, usual in find_holes(wall, hidden, shadowed, looks, listed | explained, joints, scale)
+        Unjudged(OF_HOLES, reason, *_span(wall, part, rows.start), usual=usual)
+        for rows, part, reason, usual in find_holes(wall, hidden, shadowed, looks, listed | explained, joints, scale)
     ]
     doubtful = as_large(wall.seen & ~sure & ~explained, scale)
     found += _parts(
@@ -153,34 +153,48 @@ def wider(features: Sequence[Feature], first_mm: float, last_mm: float) -> tuple
     return tuple(out)
 
 
-def in_one(parts: Sequence[Unjudged], touch_mm: float) -> tuple[Unjudged, ...]:
+def in_one(stretches: Sequence[Sequence[Unjudged]], touch_mm: float) -> tuple[Unjudged, ...]:
     """Those of several stretches of a pipe, one after the other: what goes on over a cut is one place."""
     out: list[Unjudged] = []
-    for one in sorted(parts, key=lambda one: one.z_from_mm):
-        for i in range(len(out) - 1, -1, -1):
-            was = out[i]
-            aside = abs((one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0)
-            if (
-                (was.kinds, was.reason, was.usual) == (one.kinds, one.reason, one.usual)
-                and one.z_from_mm - was.z_to_mm <= touch_mm
-                and aside <= min(one.arc_deg, was.arc_deg) / 2
-            ):
-                out[i] = replace(
-                    was, z_to_mm=max(was.z_to_mm, one.z_to_mm), arc_deg=max(was.arc_deg, one.arc_deg),
-                    most=max(was.most, one.most),
-                )  # fmt: skip
-                break
-        else:
-            out.append(one)
+    open_ends: list[int] = []  # of the stretch before, in `out`
+    for many in stretches:
+        before, open_ends = [(i, out[i]) for i in open_ends], []
+        for one in sorted(many, key=lambda one: one.z_from_mm):
+            i = next((i for i, was in before if _goes_on(was, one, touch_mm)), None)
+            if i is None:
+                out.append(one)
+                open_ends.append(len(out) - 1)
+            else:
+                out[i] = _both(out[i], one)
+                open_ends.append(i)
     return _bounded(out)
+
+
+def _goes_on(was: Unjudged, one: Unjudged, touch_mm: float) -> bool:
+    aside = abs((one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0)
+    is_alike = (was.kinds, was.reason, was.usual) == (one.kinds, one.reason, one.usual)
+    return is_alike and one.z_from_mm - was.z_to_mm <= touch_mm and aside <= min(one.arc_deg, was.arc_deg) / 2
+
+
+def _both(was: Unjudged, one: Unjudged) -> Unjudged:
+    """One place that holds two."""
+    aside = (one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0
+    low = min(-was.arc_deg / 2, aside - one.arc_deg / 2)
+    arc = max(was.arc_deg / 2, aside + one.arc_deg / 2) - low
+    clock = (was.clock_deg + low + arc / 2) % 360.0 if arc < 360.0 else 0.0
+    return replace(
+        was, z_from_mm=min(was.z_from_mm, one.z_from_mm), z_to_mm=max(was.z_to_mm, one.z_to_mm), clock_deg=clock,
+        arc_deg=min(arc, 360.0), most=max(was.most, one.most),
+    )  # fmt: skip
 
 
 def _cells(mm: float, size: float) -> int:
     return max(1, math.ceil(mm / size))
 
 
-def _span(wall: Wall, part: BoolArray) -> tuple[float, float, float, float]:
-    rows = np.flatnonzero(part.any(axis=1))
+def _span(wall: Wall, part: BoolArray, first: int = 0) -> tuple[float, float, float, float]:
+    """Of cells of the rows from `first` on."""
+    rows = first + np.flatnonzero(part.any(axis=1))
     half = wall.z_step_mm / 2
     return float(wall.z_mm[rows[0]]) - half, float(wall.z_mm[rows[-1]]) + half, *_around(wall, part)
 

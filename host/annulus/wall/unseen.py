@@ -5,6 +5,7 @@ whole scan comes back are the head's own: a rod hides so much, and every scan ha
 covers the camera there, or the picture is over-exposed.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -48,13 +49,14 @@ def find_holes(
     known: BoolArray,
     joints: BoolArray,
     scale: Scale,
-) -> Iterator[tuple[BoolArray, str, bool]]:
-    """Cells (Z, A) of each hole as large as the smallest defect, why, and whether every scan has such.
+) -> Iterator[tuple[slice, BoolArray, str, bool]]:
+    """Each hole as large as the smallest defect: rows, its cells (R, A) in them, why, and whether every scan has such.
 
     known : (Z, A) what is listed or explained; what a step beside it hides is as usual as it is. joints : (Z,) rows of
     joints; what is hidden there from most of the circle every joint hides, and no less than that is usual.
     """
     near = scale.mm(scale.limits.join_of_radius)
+    everywhere = slice(0, len(unseen))
     holes = as_large(unseen, scale)
     if looks is None:
         band = holes & (runs(holes) * wall.clock_step_deg <= GAP_MAX_DEG)
@@ -67,35 +69,51 @@ def find_holes(
         part = band & (label == i)
         if (part & holes).any():
             usual = bool(np.median(width[part]) <= GAP_MAX_DEG)
-            yield part & holes, RODS if usual else BAND, usual
+            yield everywhere, part & holes, RODS if usual else BAND, usual
     round_it = joints & (unseen.mean(axis=1) > MOSTLY)
     if (common := unseen & ~band & round_it[:, None]).any():
         label, n = ndimage.label(round_it)
         for i in range(1, n + 1):
             if (part := common & (label == i)[:, None]).any():
-                yield part, JOINT, True
+                yield everywhere, part, JOINT, True
     rest = as_large(unseen & ~band & ~round_it[:, None], scale)
     first, last = wall.extent[:2]
     end = scale.mm(END_OF_RADIUS)
-    label, n = label_around(scale.around(rest, near))  # ragged pieces of one hole are one place
-    for part in (piece for i in range(1, n + 1) for piece in _compact(rest & (label == i), scale)):
-        rows = wall.z_mm[part.any(axis=1)]
-        of = np.count_nonzero(part)
-        if lost is not None and (part & lost).sum() > SWALLOWED * of:
-            yield part, LOST, False
-        elif (part & shadowed).sum() > SHADOW_PART * of:
-            # behind a joint or a bump; a loss that only its own rim's shadow shows is none that every scan has
-            yield part, STEP, bool((scale.around(part, near) & known).any())
-        elif rows[-1] <= first + end or rows[0] >= last - end:
-            yield part, END, True
-        elif passed is None:
-            yield part, UNKNOWN, False
-        else:
-            yield part, NONE if (passed[part] == 0).mean() > MOSTLY else DOUBTED, False
+    label, _n = label_around(scale.around(rest, near))  # ragged pieces of one hole are one place
+    for i, found in enumerate(ndimage.find_objects(label), 1):
+        rows = found[0]
+        hole = rest[rows] & (label[rows] == i)
+        is_beside: bool | None = None
+        for own, part in _compact(hole, scale):
+            at = slice(rows.start + own.start, rows.start + own.stop)
+            of = np.count_nonzero(part)
+            if lost is not None and (part & lost[at]).sum() > SWALLOWED * of:
+                yield at, part, LOST, False
+            elif (part & shadowed[at]).sum() > SHADOW_PART * of:
+                # behind a joint or a bump; a loss that only its own rim's shadow shows is none that every scan has
+                if is_beside is None:
+                    is_beside = _touches(hole, rows, known, near, scale)
+                yield at, part, STEP, is_beside
+            elif wall.z_mm[at][-1] <= first + end or wall.z_mm[at][0] >= last - end:
+                yield at, part, END, True
+            elif passed is None:
+                yield at, part, UNKNOWN, False
+            else:
+                yield at, part, NONE if (passed[at][part] == 0).mean() > MOSTLY else DOUBTED, False
 
 
-def _compact(hole: BoolArray, scale: Scale) -> Iterator[BoolArray]:
-    """The parts of a hole (Z, A), halved until each fills most of its box or is small."""
+def _touches(hole: BoolArray, rows: slice, known: BoolArray, near_mm: float, scale: Scale) -> bool:
+    """Whether a hole in some rows of the wall lies so near to what is known (Z, A)."""
+    far = math.ceil(near_mm / scale.cell_mm[0])
+    first = max(rows.start - far, 0)
+    beside = known[first : rows.stop + far]
+    placed = np.zeros_like(beside)
+    placed[rows.start - first : rows.stop - first] = hole
+    return bool((scale.around(placed, near_mm) & beside).any())
+
+
+def _compact(hole: BoolArray, scale: Scale) -> Iterator[tuple[slice, BoolArray]]:
+    """The parts of a hole (Z, A), halved until each fills most of its box or is small: its rows, and in them (R, A)."""
     start = round(arc_of(np.asarray(hole.any(axis=0)), 1.0)[0])
     turned = np.roll(hole, -start, axis=1)
     look = [scale.mm(most) / size for most, size in zip(ONE_LOOK_OF_RADIUS, scale.cell_mm, strict=True)]  # cells
@@ -110,9 +128,9 @@ def _compact(hole: BoolArray, scale: Scale) -> Iterator[BoolArray]:
         )
         lengths = [(one.stop - one.start) / most for one, most in zip((rows, columns), look, strict=True)]
         if max(lengths) <= 1.0 or turned[rows, columns].mean() >= FILLED:
-            part = np.zeros_like(hole)
-            part[rows, columns] = turned[rows, columns]
-            yield np.roll(part, start, axis=1)
+            part = np.zeros((rows.stop - rows.start, turned.shape[1]), bool)
+            part[:, columns] = turned[rows, columns]
+            yield rows, np.roll(part, start, axis=1)
         elif lengths[0] > lengths[1]:
             middle = (rows.start + rows.stop) // 2
             left += [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]

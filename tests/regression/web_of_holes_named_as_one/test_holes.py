@@ -6,9 +6,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from synthetic_pipe import CALIBRATION, bump, round_pipe, scan
 
 from annulus.wall.indications import Scale
-from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, _compact
+from annulus.wall.survey import survey
+from annulus.wall.unjudged import OF_HOLES, Unjudged, in_one
+from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, STEP, _compact
 
 CELL_MM, RADIUS_MM = (2.0, 1.33), 76.2
 SHAPE = 150, 360  # 300 mm of a 6-inch pipe
@@ -17,6 +20,14 @@ SHAPE = 150, 360  # 300 mm of a 6-inch pipe
 def scale() -> Any:
     limits = SimpleNamespace(size_of_radius=0.04)
     return cast(Scale, SimpleNamespace(cell_mm=CELL_MM, limits=limits, mm=lambda part: part * RADIUS_MM))
+
+
+def whole_parts(hole: np.ndarray) -> list[np.ndarray]:
+    parts = []
+    for rows, cells in _compact(hole, scale()):
+        parts.append(np.zeros_like(hole))
+        parts[-1][rows] = cells
+    return parts
 
 
 def extent(part: np.ndarray) -> tuple[int, int]:
@@ -39,7 +50,7 @@ def web(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(5))
 def test_each_place_is_mostly_dark_or_small(seed: int) -> None:
     hole = web(seed)
-    parts = list(_compact(hole, scale()))
+    parts = whole_parts(hole)
     assert (np.sum(parts, axis=0) == hole).all(), "all of it, and nothing twice"
     look = [most * RADIUS_MM / size for most, size in zip(ONE_LOOK_OF_RADIUS, CELL_MM, strict=True)]
     for part in parts:
@@ -53,5 +64,23 @@ def test_a_hole_that_fills_its_box_is_one_place() -> None:
     hole = np.zeros(SHAPE, bool)
     hole[10:140, 340:] = hole[10:140, :60] = True
     hole[30:60, 20:40] = False
-    (part,) = _compact(hole, scale())
+    (part,) = whole_parts(hole)
     assert (part == hole).all()
+
+
+def test_windows_join_what_goes_on_over_a_cut_and_nothing_else() -> None:
+    def place(first: float, last: float, clock: float, arc: float) -> Unjudged:
+        return Unjudged(OF_HOLES, "not seen", first, last, clock, arc)
+
+    before = [place(0.0, 40.0, 90.0, 40.0), place(41.0, 80.0, 90.0, 40.0), place(60.0, 100.0, 200.0, 40.0)]
+    after = [place(100.5, 130.0, 215.0, 60.0), place(100.5, 130.0, 350.0, 40.0), place(131.0, 150.0, 215.0, 60.0)]
+    joined = in_one([before, after], 2.0)
+    assert [(one.z_from_mm, one.z_to_mm) for one in joined] == [(0, 40), (41, 80), (60, 130), (100.5, 130), (131, 150)]
+    over = joined[2]
+    assert (over.clock_deg - over.arc_deg / 2, over.clock_deg + over.arc_deg / 2) == (180.0, 245.0), "both of them"
+
+
+def test_the_shadow_of_a_listed_bump_is_usual_in_all_its_pieces() -> None:
+    profiles = scan(bump(round_pipe, 60, 150, 16, 6.0), z_mm=[2.4 * i for i in range(70) if i % 5 != 4])
+    places = survey(profiles, CALIBRATION).unjudged
+    assert all(one.usual for one in places if one.reason == STEP)
