@@ -38,7 +38,6 @@ from annulus.wall.standing import (
     ROUND_WHY,
     SHALLOW_WHY,
     TALL_WHY,
-    THROUGH_WHY,
     UNSURE_WHY,
     depth_limit_mm,
     left_standing,
@@ -60,7 +59,7 @@ CHORD_LEAST, CHORD_MOST, CHORD_LONG = 0.83, 1.08, 0.5
 ALONE = 0.5  # part of the rest of the circle, in its stations: less sound wall, and it may go all round
 ALONE_LONG = 0.3  # of the radius: what is longer is no joint's
 ASIDE_DEG = 3.0  # of its own edge, which is no rest of the circle
-THIN_OF_RADIUS = 0.095  # the thinnest walls of pressure pipes: SDR 21, a 21st of the diameter
+HIDDEN = 0.25  # part of the scan elsewhere in which a direction was seen: less, and a rod hides it
 FILLED = 0.5  # part of a bump's outline that was seen: less, and it may be a rim about what was not seen
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
@@ -175,6 +174,9 @@ def find_defects(
     indications, few = find_indications(wall, scale, features)
     # what was filled in between two lips is no wall
     sound = wall.seen & (wall.count > 0) & (np.abs(wall.residual_mm()) < scale.seed_and_rim(wall)[1])
+    standing = (
+        np.sum([one.mask for one in indications], axis=0, dtype=np.intp) if indications else np.zeros(sound.shape)
+    )
     for i, indication in enumerate((*indications, *few)):
         known, way = np.isfinite(indication.height), np.float32(1 if indication.kind is Kind.LOSS else -1)
         one = replace(indication, height=np.where(known, way * fine, np.float32(-np.inf)))
@@ -184,7 +186,7 @@ def find_defects(
             doubted.append((replace(defect, why=FEW), whole))
         elif _only_at_an_end(indication.mask, scale):
             doubted.append((replace(defect, why=END_WHY), whole))
-        elif why := _nameless(defect, wall, sound):
+        elif why := _nameless(defect, indication.mask, wall, sound, standing > indication.mask):
             doubted.append((replace(defect, why=why), whole))
         elif defect.depth_k2_mm > UNSURE * defect.depth_mm:  # nor where nobody says
             doubted.append((replace(defect, why=UNSURE_WHY), whole))
@@ -209,26 +211,30 @@ def find_defects(
     return Detection(tuple(defect for defect, _ in found), label, limits, tuple(undecided))
 
 
-def _nameless(defect: Defect, wall: Wall, sound: BoolArray) -> str:
-    """Why a place that surely stands out is not surely what its kind says; nothing where it is. sound : (Z, A)"""
+def _nameless(defect: Defect, place: BoolArray, wall: Wall, sound: BoolArray, others: BoolArray) -> str:
+    """Why a place that surely stands out is not surely what its kind says; nothing where it is. place : (Z, A) what was
+    seen of it. sound : (Z, A) wall. others : (Z, A) places beside it; what lies between tells whether they are one."""
     first, last = defect.z_range_mm
-    rows = (wall.z_mm > first) & (wall.z_mm < last)
+    inside = (wall.z_mm > first) & (wall.z_mm < last)
+    rows = inside & place.any(axis=1)
     away = np.abs((wall.clock_deg - defect.clock_deg + 180.0) % 360.0 - 180.0)
-    rest = away > defect.arc_deg / 2 + ASIDE_DEG
     if not defect.is_all_round and defect.length_mm <= ALONE_LONG * wall.mean_radius_mm:
-        beside = sound[rows][:, rest]
-        if beside.size and beside.mean() < ALONE:
+        rest = (away > defect.arc_deg / 2 + ASIDE_DEG) & ~others[rows]
+        if rest.any() and sound[rows][rest].mean() < ALONE:
             return ROUND_WHY
     if defect.kind is not Kind.BUMP:
-        is_deep = defect.depth_mm > THIN_OF_RADIUS * wall.mean_radius_mm
-        return THROUGH_WHY if is_deep and not defect.floor_seen else ""
+        return ""
     if _may_be_level(defect, wall):
         return LEVEL_WHY
-    outline = (wall.seen & (wall.count > 0))[rows][:, away <= defect.arc_deg / 2]
+    seen = wall.seen & (wall.count > 0)
+    elsewhere = seen[(wall.z_mm < 2 * first - last) | (wall.z_mm > 2 * last - first)]
+    by_rod = elsewhere.mean(axis=0) < HIDDEN if len(elsewhere) else np.zeros(len(away), bool)
+    outline = seen[inside][:, (away <= defect.arc_deg / 2) & ~by_rod]
     if outline.size and outline.mean() < FILLED:
         return HOLLOW_WHY
-    width = math.radians(min(defect.arc_deg, 180.0)) * wall.mean_radius_mm
-    return TALL_WHY if defect.depth_mm > min(defect.length_mm, width) else ""
+    width = math.radians(min(defect.arc_deg + wall.clock_step_deg, 180.0)) * wall.mean_radius_mm
+    at_least = defect.depth_mm - float(np.nan_to_num(defect.depth_k2_mm))
+    return TALL_WHY if at_least > min(defect.length_mm + wall.z_step_mm, width) else ""
 
 
 def _may_be_level(defect: Defect, wall: Wall) -> bool:
