@@ -1,6 +1,6 @@
 """Where most of a weld or of a gap was not seen, what was seen of it was listed as bumps and losses. So were the rim of
-a tee whose inside was dark, and light of one ring taken for another's (a
-bump 14 mm high and 7 wide). Fails without `_nameless`."""
+a tee whose inside was dark, and light of one ring taken for another's (a bump 14 mm high and 7 wide). Fails without
+`_nameless`."""
 
 from dataclasses import replace
 from types import SimpleNamespace
