@@ -38,6 +38,7 @@ from annulus.wall.standing import (
     ROUND_WHY,
     SHALLOW_WHY,
     TALL_WHY,
+    THROUGH_WHY,
     UNSURE_WHY,
     depth_limit_mm,
     left_standing,
@@ -60,6 +61,8 @@ ALONE = 0.5  # part of the rest of the circle, in its stations: less sound wall,
 ALONE_LONG = 0.3  # of the radius: what is longer is no joint's
 ASIDE_DEG = 3.0  # of its own edge, which is no rest of the circle
 HIDDEN = 0.25  # part of the scan elsewhere in which a direction was seen: less, and a rod hides it
+THIN_OF_RADIUS = 0.077  # walls of pipes that bear a load: SDR 26, a 26th of the diameter; of the radius
+LOST = 0.25  # part of a loss's outline that is dark and no rim's shadow: as much, and light went through
 FILLED = 0.5  # part of a bump's outline that was seen: less, and it may be a rim about what was not seen
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
@@ -186,7 +189,7 @@ def find_defects(
             doubted.append((replace(defect, why=FEW), whole))
         elif _only_at_an_end(indication.mask, scale):
             doubted.append((replace(defect, why=END_WHY), whole))
-        elif why := _nameless(defect, indication.mask, wall, sound, standing > indication.mask):
+        elif why := _nameless(defect, indication.mask, wall, sound, standing > indication.mask, dark):
             doubted.append((replace(defect, why=why), whole))
         elif defect.depth_k2_mm > UNSURE * defect.depth_mm:  # nor where nobody says
             doubted.append((replace(defect, why=UNSURE_WHY), whole))
@@ -211,9 +214,12 @@ def find_defects(
     return Detection(tuple(defect for defect, _ in found), label, limits, tuple(undecided))
 
 
-def _nameless(defect: Defect, place: BoolArray, wall: Wall, sound: BoolArray, others: BoolArray) -> str:
+def _nameless(
+    defect: Defect, place: BoolArray, wall: Wall, sound: BoolArray, others: BoolArray, dark: BoolArray
+) -> str:
     """Why a place that surely stands out is not surely what its kind says; nothing where it is. place : (Z, A) what was
-    seen of it. sound : (Z, A) wall. others : (Z, A) places beside it; what lies between tells whether they are one."""
+    seen of it. sound : (Z, A) wall. others : (Z, A) places beside it; what lies between tells whether they are one.
+    dark : (Z, A) what was not seen and no rim's shadow explains."""
     first, last = defect.z_range_mm
     inside = (wall.z_mm > first) & (wall.z_mm < last)
     rows = inside & place.any(axis=1)
@@ -223,7 +229,9 @@ def _nameless(defect: Defect, place: BoolArray, wall: Wall, sound: BoolArray, ot
         if rest.any() and sound[rows][rest].mean() < ALONE:
             return ROUND_WHY
     if defect.kind is not Kind.BUMP:
-        return ""
+        lost = dark[inside][:, away <= defect.arc_deg / 2]
+        is_deep = not defect.floor_seen and defect.depth_mm > THIN_OF_RADIUS * wall.mean_radius_mm
+        return THROUGH_WHY if is_deep and lost.size and lost.mean() >= LOST else ""
     if _may_be_level(defect, wall):
         return LEVEL_WHY
     seen = wall.seen & (wall.count > 0)

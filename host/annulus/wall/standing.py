@@ -29,6 +29,7 @@ LEVEL_WHY = "it lies flat across the bottom: water, a deposit or a bump"
 EDGE_WHY = "it lines the edge of something larger"
 ROUND_WHY = "too little sound wall beside it round the pipe: damage, or part of a joint or a groove"
 HOLLOW_WHY = "most of what its outline holds was not seen: a bump, or the rim of an opening"
+THROUGH_WHY = "it is deeper than thin walls are thick, and light was lost in it: an opening, or a loss"
 TALL_WHY = "it stands higher than it is wide: an object, or light of one ring taken for another's"
 SHALLOW_WHY = "it is measured less deep than what is listed, and may be deeper"
 SHALLOW_SIZES = 1.5  # of the smallest size that is listed, both ways: of smaller ones every map has some by its noise

@@ -11,7 +11,7 @@ import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, RADIUS_MM, bump, pocket, round_pipe, scan
 
 from annulus.wall.defects import Defect, Kind, _nameless
-from annulus.wall.standing import HOLLOW_WHY, ROUND_WHY, TALL_WHY
+from annulus.wall.standing import HOLLOW_WHY, ROUND_WHY, TALL_WHY, THROUGH_WHY
 from annulus.wall.survey import Survey, survey
 
 STATIONS = [4.8 * i for i in range(25) if i % 5 != 4]
@@ -90,6 +90,9 @@ def defect(
         (defect(Kind.BUMP, 2.0), 1.0, 0.6, ""),
         (defect(Kind.LOSS, 2.0), 1.0, 0.4, ""),  # its rim hides most of a pocket
         (defect(Kind.LOSS, 8.0), 1.0, 1.0, ""),  # half of a thick wall
+        (defect(Kind.LOSS, 8.0), 1.0, 0.6, THROUGH_WHY),
+        (defect(Kind.LOSS, 8.0, floor=True), 1.0, 0.6, ""),
+        (defect(Kind.LOSS, 5.0), 1.0, 0.6, ""),
         (defect(Kind.BUMP, 14.0, arc_deg=5.0), 1.0, 1.0, TALL_WHY),
         (defect(Kind.BUMP, 7.5, arc_deg=5.0), 1.0, 1.0, ""),
     ],
@@ -103,7 +106,7 @@ def test_a_name_needs_its_form(one: Defect, part_sound: float, part_seen: float,
     sound[:, ~inside] = np.linspace(0.0, 1.0, np.count_nonzero(~inside)) <= part_sound
     place = np.zeros_like(seen)
     place[rows] = inside
-    assert _nameless(one, place, wall(seen), sound, np.zeros_like(seen)) == why
+    assert _nameless(one, place, wall(seen), sound, np.zeros_like(seen), ~seen) == why
 
 
 @pytest.mark.deep(but=1)
