@@ -1,6 +1,7 @@
 """calibration.json on disk."""
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -129,8 +130,17 @@ def _read(path: Where, expected: str = "the calibration.json of the head that sc
 
 
 def _write(path: Path, data: object) -> None:
+    """A number that nobody knows becomes null, as `_read` asks."""
     try:
         with written_whole(path) as file:
-            file.write(f"{json.dumps(data, indent=1)}\n".encode())
+            file.write(f"{json.dumps(_known(data), indent=1, allow_nan=False)}\n".encode())
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be written ({error.strerror}).") from None
+
+
+def _known(data: object) -> object:
+    if isinstance(data, Mapping):
+        return {key: _known(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_known(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data

@@ -1,6 +1,7 @@
 """calibration.json on disk: updated section by section, whole or not at all, and readable by whom the umask says."""
 
 import json
+import math
 import os
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -96,3 +97,13 @@ def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
         file.write(b"half")
         raise KeyError
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_calibration_could_not_tell_is_null_and_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.json"
+    update_calibration(
+        path, {"distance_mm": 120.0}, {"distance_mm": {"by": "a test", "gamma": math.nan, "rows": (1.0, math.inf)}}
+    )
+    made = json.loads(path.read_text(), parse_constant=lambda name: pytest.fail(name))["provenance"]["distance_mm"]
+    assert made["gamma"] is None and made["rows"] == [1.0, None]
+    update_calibration(path, {"distance_mm": 121.0})
