@@ -142,9 +142,9 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     over the slice and over three neighbouring degrees: extremes of noise are not diameters. Two opposite radii may err
     alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones. All
     radii of a station may err alike, too, by that of one point: a circumference by 2 pi times as much, an area by the
-    circumference times as much. What the whole scan's scale may be off is of each of these.
-    circumference times as much. And so may they where rows of the pipe and of a bead or a gap meet in one station:
-    which of them are its middle is known no better than a row's place, to a slit, nor than the rows nobody saw.
+    circumference times as much. What the whole scan's scale may be off is of each of these. So may they where rows of
+    the pipe and of a bead or a gap meet in one station: which of them are its middle is known no better than a row's
+    place, to a slit, nor than the rows nobody saw.
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
     columns, scale = len(wall.clock_deg), np.hypot(wall.scale_part, wall.oval_part)
