@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
 from annulus.numeric.rounding import clock_face
+from annulus.wall.chords import turn_from
 from annulus.wall.extent import as_large, with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.grooves import groove_floor
@@ -55,15 +56,15 @@ UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is no
 # bench 0.88 to 0.96, domes at the bottom 0.59 to 0.79, dents from 1.25 on. Length of the radius: levels from 0.7 on.
 CHORD_LEAST, CHORD_MOST, CHORD_LONG = 0.83, 1.08, 0.5
 # What has a name stands by itself in sound wall, and its outline was seen. Set on blind seeds 1 and 3: of 200 losses
-# and bumps that were there seven had less sound wall round the pipe, all pieces of grooves, and of 29 that were joints,
-# gaps or nothing 16; the outlines of all bumps but one were seen over more than half, of tees' rims over 0.36.
+# and bumps that were there six had less sound wall round the pipe, all pieces of grooves, and of 29 that were joints,
+# gaps or nothing 16; the outlines of all bumps but one were seen over more than half, of two tees' rims over 0.36.
 ALONE = 0.5  # part of the rest of the circle, in its stations: less sound wall, and it may go all round
 ALONE_LONG = 0.3  # of the radius: what is longer is no joint's
 ASIDE_DEG = 3.0  # of its own edge, which is no rest of the circle
 HIDDEN = 0.25  # part of the scan elsewhere in which a direction was seen: less, and a rod hides it
 THIN_OF_RADIUS = 0.077  # walls of pipes that bear a load: SDR 26, a 26th of the diameter; of the radius
-LOST = 0.25  # part of a loss's outline that is dark and no rim's shadow: as much, and light went through
-FILLED = 0.5  # part of a bump's outline that was seen: less, and it may be a rim about what was not seen
+LIGHT_LOST = 0.25  # part of a loss's outline that is dark and no rim's shadow: as much, and light went through
+OUTLINE_SEEN = 0.5  # part of a bump's outline that was seen: less, and it may be a rim about what was not seen
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
 MANY = 6  # places near each other of which nothing is known but that rings differ: more share one line
@@ -177,9 +178,7 @@ def find_defects(
     indications, few = find_indications(wall, scale, features)
     # what was filled in between two lips is no wall
     sound = wall.seen & (wall.count > 0) & (np.abs(wall.residual_mm()) < scale.seed_and_rim(wall)[1])
-    standing = (
-        np.sum([one.mask for one in indications], axis=0, dtype=np.intp) if indications else np.zeros(sound.shape)
-    )
+    standing = sum((one.mask.astype(np.intp) for one in indications), np.zeros(sound.shape, np.intp))
     for i, indication in enumerate((*indications, *few)):
         known, way = np.isfinite(indication.height), np.float32(1 if indication.kind is Kind.LOSS else -1)
         one = replace(indication, height=np.where(known, way * fine, np.float32(-np.inf)))
@@ -223,7 +222,7 @@ def _nameless(
     first, last = defect.z_range_mm
     inside = (wall.z_mm > first) & (wall.z_mm < last)
     rows = inside & place.any(axis=1)
-    away = np.abs((wall.clock_deg - defect.clock_deg + 180.0) % 360.0 - 180.0)
+    away = np.abs(turn_from(wall.clock_deg, defect.clock_deg))
     if not defect.is_all_round and defect.length_mm <= ALONE_LONG * wall.mean_radius_mm:
         rest = (away > defect.arc_deg / 2 + ASIDE_DEG) & ~others[rows]
         if rest.any() and sound[rows][rest].mean() < ALONE:
@@ -231,14 +230,14 @@ def _nameless(
     if defect.kind is not Kind.BUMP:
         lost = dark[inside][:, away <= defect.arc_deg / 2]
         is_deep = not defect.floor_seen and defect.depth_mm > THIN_OF_RADIUS * wall.mean_radius_mm
-        return THROUGH_WHY if is_deep and lost.size and lost.mean() >= LOST else ""
+        return THROUGH_WHY if is_deep and lost.size and lost.mean() >= LIGHT_LOST else ""
     if _may_be_level(defect, wall):
         return LEVEL_WHY
     seen = wall.seen & (wall.count > 0)
     elsewhere = seen[(wall.z_mm < 2 * first - last) | (wall.z_mm > 2 * last - first)]
     by_rod = elsewhere.mean(axis=0) < HIDDEN if len(elsewhere) else np.zeros(len(away), bool)
     outline = seen[inside][:, (away <= defect.arc_deg / 2) & ~by_rod]
-    if outline.size and outline.mean() < FILLED:
+    if outline.size and outline.mean() < OUTLINE_SEEN:
         return HOLLOW_WHY
     width = math.radians(min(defect.arc_deg + wall.clock_step_deg, 180.0)) * wall.mean_radius_mm
     at_least = defect.depth_mm - float(np.nan_to_num(defect.depth_k2_mm))

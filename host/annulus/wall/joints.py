@@ -49,7 +49,7 @@ SHOWS = 0.7
 JUMPS = ("hilo_mm", "step_mm", "angle_deg")  # of a line: what no groove makes
 # A bead that no jump of the line goes with is a joint where its height is known to this part of it, k = 2. Of 54 welds
 # of the blind seeds 1 to 6 one such was known worse; three places that were none, 0.63 to 0.98.
-ALONE = 0.6
+BEAD_KNOWN = 0.6
 SOCKET_OF_RADIUS = 0.02  # and by less than this, two pipes of one size
 # A turn alone is a joint up to here: what turns more within half a radius may be a short bend as well. Pipes that are
 # joined straight lie within 2 degrees of each other; an elbow of 1 D has 14 degrees on half a radius.
@@ -273,9 +273,6 @@ def _joint(
     if bead is not None and bead.is_none:
         form, bead = _Form.BETWEEN, None
     if bead is not None and bead.is_sure:
-        measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
-        width = math.nan if math.isnan(bead.width_k2_mm) else bead.width_mm
-        measures.append(Measure("width_mm", width, bead.width_k2_mm))
         end = bead.start_mm + bead.width_mm
         first, last = min(first, bead.start_mm), max(last, end)
         middle, length = (bead.start_mm + end) / 2, bead.width_mm
@@ -290,11 +287,11 @@ def _joint(
     if is_open and length - hidden > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm:
         gap, gap_k2 = _gap(wall, points, (first, last), limit)
     jumps = any(_is_sure(one) for one in of_line if one.name in JUMPS)
-    is_bead = bead is not None and bead.is_sure and (jumps or not bead.height_k2_mm > ALONE * bead.height_mm)
-    if not is_bead:
-        measures = []
-    if is_bead:
+    if bead is not None and bead.is_sure and (jumps or not bead.height_k2_mm > BEAD_KNOWN * bead.height_mm):
         kind, remark = FeatureKind.JOINT, "butt fusion"
+        width = math.nan if math.isnan(bead.width_k2_mm) else bead.width_mm
+        measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
+        measures.append(Measure("width_mm", width, bead.width_k2_mm))
     elif gap > gap_k2 and not jumps:
         kind, remark = FeatureKind.NAMELESS, GAP_OR_GROOVE
         of_line = []

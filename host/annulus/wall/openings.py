@@ -302,8 +302,8 @@ def _rim(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore:
         len(np.unique(looks.view[points.look[high]]))
     )
     outside = float(np.percentile(away[high], 97))
-    bore = replace(bore, may_stand=False)
-    return replace(bore, stands_mm=float(np.median(height[high])), stands_sigma_mm=float(sigma), rim_mm=outside)
+    stands = float(np.median(height[high]))
+    return replace(bore, stands_mm=stands, stands_sigma_mm=float(sigma), rim_mm=outside, may_stand=False)
 
 
 def _sides(which: BoolArray, across: FloatArray, along: FloatArray) -> list[NDArray[np.intp]]:

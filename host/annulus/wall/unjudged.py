@@ -21,6 +21,7 @@ from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
 from annulus.wall.apart import Apart
+from annulus.wall.chords import turn_from
 from annulus.wall.defects import Defect, Detection, Kind
 from annulus.wall.extent import as_large, goes_on
 from annulus.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
@@ -171,14 +172,14 @@ def in_one(stretches: Sequence[Sequence[Unjudged]], touch_mm: float) -> tuple[Un
 
 
 def _goes_on(was: Unjudged, one: Unjudged, touch_mm: float) -> bool:
-    aside = abs((one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0)
+    aside = abs(float(turn_from(one.clock_deg, was.clock_deg)))
     is_alike = (was.kinds, was.reason, was.usual) == (one.kinds, one.reason, one.usual)
     return is_alike and one.z_from_mm - was.z_to_mm <= touch_mm and aside <= min(one.arc_deg, was.arc_deg) / 2
 
 
 def _both(was: Unjudged, one: Unjudged) -> Unjudged:
     """One place that holds two."""
-    aside = (one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0
+    aside = float(turn_from(one.clock_deg, was.clock_deg))
     low = min(-was.arc_deg / 2, aside - one.arc_deg / 2)
     arc = max(was.arc_deg / 2, aside + one.arc_deg / 2) - low
     clock = (was.clock_deg + low + arc / 2) % 360.0 if arc < 360.0 else 0.0

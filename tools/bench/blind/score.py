@@ -248,8 +248,7 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
         is_short, is_narrow = last - first <= longest, arc <= widest
         # of what was not seen at all it says so: all round behind a bead, or along a rod's whole shadow
         is_local = is_short or is_narrow if NOT_SEEN in place.get("reason", "") else is_short and is_narrow
-        is_local = is_local or is_dark(place, results)
-        if kind in place["limits"] and is_local:
+        if kind in place["limits"] and (is_local or is_dark(place, results)):
             around = np.abs(away_deg(clock, place["clock_deg"])) <= arc / 2 + 1.0
             covered |= (z >= first - 1.0) & (z <= last + 1.0) & around
     return bool(covered.mean() >= COVERED)
