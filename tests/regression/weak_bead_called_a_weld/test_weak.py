@@ -1,7 +1,8 @@
 """Of 57 welds that were listed three were none, each with a bead of 0.3 to 4.5 mm whose k = 2 was 0.63 to 0.98 of that,
 and nothing of the line went with it. Of twelve branches three were a bump or pockets, their circle known to a twelfth
-at best. Fails without `ALONE` and without `CIRCLE_KNOWN`."""
+at best. Fails without `BEAD_KNOWN` and without `CIRCLE_KNOWN`."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from synthetic_pipe import CALIBRATION, NOISE_MM, opening, round_pipe, scan
 
 from annulus.wall import joints, openings
 from annulus.wall.beads import measure_bead
+from annulus.wall.conformity import Criteria, judge
 from annulus.wall.features import FeatureKind
 from annulus.wall.openings import _fitted
 from annulus.wall.survey import Survey, survey
@@ -51,6 +53,18 @@ def test_a_bead_alone_must_be_known(
     pipe = welded(aside_mm)
     assert [(one.kind, one.remark) for one in pipe.features] == [name]
     assert np.isnan(pipe.features[0].measured("height_mm")) == (name[0] is FeatureKind.NAMELESS)
+
+
+def test_a_width_that_is_no_beads_is_not_measured_and_conforms_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joints, "measure_bead", lambda *zone: replace(measure_bead(*zone), width_k2_mm=math.nan))
+    pipe = welded(0.0)
+    (weld,) = pipe.features
+    assert weld.kind is FeatureKind.JOINT and weld.measured("height_mm") > 1.0
+    assert np.isnan(weld.measured("width_mm")) and "width_mm" in [one.name for one in weld.measures]
+    assert (
+        judge(pipe, Criteria.from_dict({"joint": [{"severity": 1, "bead_width_mm": 30.0}]})).decision.value
+        == "undecided"
+    )
 
 
 @pytest.mark.parametrize(("part", "found"), [(0.06, True), (0.1, False)])

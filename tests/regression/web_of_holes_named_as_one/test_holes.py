@@ -6,20 +6,17 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from synthetic_pipe import CALIBRATION, bump, round_pipe, scan
 
-from annulus.wall.indications import Scale
-from annulus.wall.survey import survey
+from annulus.wall.indications import Limits, Scale
 from annulus.wall.unjudged import OF_HOLES, Unjudged, in_one
-from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, STEP, _compact
+from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, STEP, _compact, find_holes
 
 CELL_MM, RADIUS_MM = (2.0, 1.33), 76.2
 SHAPE = 150, 360  # 300 mm of a 6-inch pipe
 
 
-def scale() -> Any:
-    limits = SimpleNamespace(size_of_radius=0.04)
-    return cast(Scale, SimpleNamespace(cell_mm=CELL_MM, limits=limits, mm=lambda part: part * RADIUS_MM))
+def scale() -> Scale:
+    return Scale(CELL_MM, RADIUS_MM, Limits())
 
 
 def whole_parts(hole: np.ndarray) -> list[np.ndarray]:
@@ -81,6 +78,16 @@ def test_windows_join_what_goes_on_over_a_cut_and_nothing_else() -> None:
 
 
 def test_the_shadow_of_a_listed_bump_is_usual_in_all_its_pieces() -> None:
-    profiles = scan(bump(round_pipe, 60, 150, 16, 6.0), z_mm=[2.4 * i for i in range(70) if i % 5 != 4])
-    places = survey(profiles, CALIBRATION).unjudged
-    assert all(one.usual for one in places if one.reason == STEP)
+    unseen, known = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
+    for row in range(40, 100):  # pointed, as that of a dome is
+        unseen[row, 100 : 160 - (row - 40) * 5 // 8] = True
+    known[30:40, 100:160] = True
+    z_mm = (np.arange(SHAPE[0]) + 0.5) * CELL_MM[0]
+    wall = SimpleNamespace(
+        z_mm=z_mm, z_step_mm=CELL_MM[0], clock_step_deg=1.0, extent=(0.0, 300.0, 0.0, 360.0), mean_radius_mm=RADIUS_MM
+    )
+    joints = np.zeros(SHAPE[0], bool)
+    for beside in (known, np.zeros_like(known)):
+        places = list(find_holes(cast(Any, wall), unseen, unseen, None, beside, joints, scale()))
+        assert len(places) > 1 and {reason for _, _, reason, _ in places} == {STEP}
+        assert {usual for *_, usual in places} == {bool(beside.any())}

@@ -252,7 +252,6 @@ def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plate]:
     return path, reconstruct_fringe(open_fringe(path, calibration(folder)))
 
 
-@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
 def test_sigma_has_what_the_slides_own_calibration_left(right: tuple[Path, Plate], tmp_path: Path) -> None:
     path, known = right
     plate = reconstruct_fringe(
