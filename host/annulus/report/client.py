@@ -281,7 +281,7 @@ def _details(survey: Survey, account: Account) -> dict[str, Any]:
 
 def _stations(survey: Survey) -> Iterator[dict[str, str]]:
     """Rows at even steps, and the worst stations, marked."""
-    s = survey.stations
+    s, any_k2 = survey.stations, survey.stations.any_diameter_k2_mm
     n = len(s.z_mm)
     step = max(1, math.ceil(n / STATIONS_MAX))
     worst: dict[int, list[str]] = {}
@@ -298,7 +298,7 @@ def _stations(survey: Survey) -> Iterator[dict[str, str]]:
             "x": _cell(s.diameter_x_mm[i], MEASURE), "y": _cell(s.diameter_y_mm[i], MEASURE),
             "min": _cell(s.diameter_min_mm[i], MEASURE), "mean": _cell(s.diameter_mean_mm[i], MEASURE),
             "max": _cell(s.diameter_max_mm[i], MEASURE),
-            "k2": digits_k2(s.diameter_k2_mm[i], MEASURE) if math.isfinite(s.diameter_k2_mm[i]) else "",
+            "k2": digits_k2(any_k2[i], MEASURE) if math.isfinite(any_k2[i]) else "",
             "ovality": _cell(s.shape_ovality_percent[i], PERCENT),
             "around": _cell(s.circumference_mm[i], MEASURE), "around_k2": digits_k2(s.circumference_k2_mm[i], MEASURE)
             if math.isfinite(s.circumference_k2_mm[i]) else "", "area": _cell(s.area_mm2[i], AREA),

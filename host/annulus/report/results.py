@@ -177,14 +177,15 @@ def write_stations(path: Path, stations: Stations) -> None:
             [
                 "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
                 "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm", "diameter_x_mm", "diameter_y_mm",
-                "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
+                "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2", "diameter_min_k2_mm",
+                "diameter_max_k2_mm",
             ]
         )  # fmt: skip
         columns = zip(
             stations.z_mm, stations.diameter_min_mm, stations.diameter_max_mm, stations.diameter_mean_mm,
             stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, stations.diameter_k2_mm,
             stations.diameter_x_mm, stations.diameter_y_mm, stations.circumference_mm, stations.circumference_k2_mm,
-            stations.area_mm2, stations.area_k2_mm2,
+            stations.area_mm2, stations.area_k2_mm2, stations.diameter_min_k2_mm, stations.diameter_max_k2_mm,
             strict=True,
         )  # fmt: skip
         for row in columns:

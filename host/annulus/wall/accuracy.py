@@ -40,7 +40,7 @@ def tolerances(survey: Survey) -> Iterator[Tolerance]:
         listed = np.array([one.depth_k2_mm for one in survey.defects if one.kind is kind], dtype=np.float64)
         if len(listed):
             yield _of(words, "mm", listed)
-    yield _of("diameter of a station, any direction", "mm", stations.diameter_k2_mm)
+    yield _of("diameter of a station, any direction", "mm", stations.any_diameter_k2_mm)
     yield _of("inner circumference of a station", "mm", stations.circumference_k2_mm)
     yield _of("inner area of a station", "mm²", stations.area_k2_mm2)
 

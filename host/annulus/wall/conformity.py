@@ -289,8 +289,8 @@ def _of_pipe(survey: Survey, criteria: Criteria) -> Iterator[Judged]:
     stations, wall = survey.stations, survey.wall
     along = {
         ("ovality", "percent"): (shape_ovality(wall), 50.0 * swing_k2_mm(wall) / wall.shape_mm[:, 0], wall.z_mm),
-        ("bore", "smallest_mm"): (stations.diameter_min_mm, stations.diameter_k2_mm, stations.z_mm),
-        ("bore", "largest_mm"): (stations.diameter_max_mm, stations.diameter_k2_mm, stations.z_mm),
+        ("bore", "smallest_mm"): (stations.diameter_min_mm, stations.diameter_min_k2_mm, stations.z_mm),
+        ("bore", "largest_mm"): (stations.diameter_max_mm, stations.diameter_max_k2_mm, stations.z_mm),
     }
     for (kind, quantity), (values, k2s, z) in along.items():
         if quantity not in _limited(criteria, kind):

@@ -155,7 +155,7 @@ class Survey:
 
     @property
     def diameter_k2_mm(self) -> float:
-        """Expanded uncertainty (k = 2) of a station's diameter, the median over the stations."""
+        """Expanded uncertainty (k = 2) of a station's mean diameter, the median over the stations."""
         return _over(np.median, self.stations.diameter_k2_mm)
 
     @property

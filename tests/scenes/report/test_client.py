@@ -171,8 +171,9 @@ def test_the_page_says_what_the_scan_states_and_no_number_of_a_bench(
 def test_stations_have_the_new_columns_at_the_end(page: tuple[str, dict[str, Any], Path], pipe: Survey) -> None:
     with (page[2] / "stations.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0])[-6:] == [
+    assert list(rows[0])[-8:] == [
         "diameter_x_mm", "diameter_y_mm", "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
+        "diameter_min_k2_mm", "diameter_max_k2_mm",
     ]  # fmt: skip
     known = [row for row in rows if row["area_mm2"]]
     assert len(known) > 5

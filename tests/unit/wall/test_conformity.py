@@ -198,7 +198,7 @@ def survey(
     steady = np.full(n, 152.0)
     low = np.array([152.0, 151.0, 152.0, 152.0])
     k2, none = np.full(n, 0.1), np.zeros(n)
-    stations = Stations(wall.z_mm, low, steady, steady, none, none, none + 1, k2, *[steady] * 6)
+    stations = Stations(wall.z_mm, low, steady, steady, none, none, none + 1, *[k2] * 3, *[steady] * 6)
     told: dict[str, Any] = {
         "wall": wall, "stations": stations,
         "detection": Detection(defects, np.zeros((n, 36), np.int32), Limits(), undecided),

@@ -89,6 +89,24 @@ def test_stations_know_their_sizes_as_far_as_their_points_do() -> None:
     assert stations.area_k2_mm2 == pytest.approx(2 * length * 0.03, rel=1e-4)
 
 
+def test_an_extreme_beside_what_nobody_saw_is_no_surer_than_its_ends() -> None:
+    """A pocket 4 mm deep of which the rim was seen: the floor's diameter is unknown, and its slope no diameter."""
+    deep = np.tile(ROUND, (20, 1))
+    deep[:, 84:97] += 4.0 * np.sin(np.pi * np.arange(13) / 12)
+    true = measure_stations(wall_of(deep)).diameter_max_mm
+    seen = deep.copy()
+    seen[:, 88:94] = np.nan
+    seen[::4, 85:89], seen[1::4, 85:89], seen[2::4, 85:89] = np.nan, np.nan, np.nan  # a quarter of the slope's rows
+    rim = measure_stations(wall_of(seen))
+    assert (rim.diameter_max_mm < true - 1.0).all()
+    assert (np.abs(rim.diameter_max_mm - (2 * 76.2 + 4.0 * np.sin(np.pi / 6))) <= rim.diameter_max_k2_mm).all()
+    assert (rim.diameter_max_k2_mm > 1.5 * rim.diameter_k2_mm).all()
+    assert rim.diameter_min_k2_mm == pytest.approx(rim.diameter_k2_mm)
+    assert rim.any_diameter_k2_mm == pytest.approx(rim.diameter_max_k2_mm)
+    seen[:, 94:97] = np.nan
+    assert (measure_stations(wall_of(seen)).diameter_max_mm < 2 * 76.2 + 1.2).all()  # no end on a quarter of a slope
+
+
 def test_half_a_pipe_under_water_has_a_width_and_no_height() -> None:
     dark = np.tile(ROUND, (20, 1))
     dark[:, 110:250] = np.nan

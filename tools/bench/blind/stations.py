@@ -12,10 +12,11 @@ from tools.bench.blind.surface import NO_WALL, Array, Surface
 
 CLOCK = np.arange(360.0)
 EVEN_DEG = 5  # circumference and area are those of a line evened out over so much; a tape is stiffer
+HALF_SEEN = 0.5 - 1e-9  # as stations.csv has it
 COLUMNS = {
     "diameter_mean_mm": ("diameter, mean", "diameter_k2_mm"),
-    "diameter_min_mm": ("diameter, least", "diameter_k2_mm"),
-    "diameter_max_mm": ("diameter, greatest", "diameter_k2_mm"),
+    "diameter_min_mm": ("diameter, least", "diameter_min_k2_mm"),
+    "diameter_max_mm": ("diameter, greatest", "diameter_max_k2_mm"),
     "diameter_x_mm": ("diameter, x and y", "diameter_k2_mm"),
     "diameter_y_mm": ("diameter, x and y", "diameter_k2_mm"),
     "circumference_mm": ("circumference", "circumference_k2_mm"),
@@ -41,24 +42,25 @@ def station_numbers(scene: Scene, results: Results, surface: Surface) -> Iterato
 
 
 def seen_columns(results: Results, first: float, last: float) -> Array:
-    """(360,) bool, of CLOCK: which clocks of a station the map has a wall at, in any row."""
+    """(360,) 0..1, of CLOCK: of a station's map about each clock, a column either side, which part has a wall."""
     rows = (results.seen_z_mm >= first) & (results.seen_z_mm <= last)
     if not rows.any():
-        return np.ones(len(CLOCK), bool)
-    seen = results.seen[rows].any(axis=0)
+        return np.ones(len(CLOCK))
+    seen = ndimage.uniform_filter1d(results.seen[rows].mean(axis=0), 3, mode="wrap")
     return np.asarray(seen[(CLOCK * len(seen) / len(CLOCK)).astype(int)])
 
 
 def station(surface: Surface, first: float, last: float, seen: Array | None = None) -> dict[str, float]:
-    """The true numbers of one station, by the names of stations.csv: the least and greatest diameter of those that were
-    `seen`, (360,) bool, and the line with radii evened out over EVEN_DEG, as both are said to be."""
+    """The true numbers of one station, by the names of stations.csv: the least and greatest diameter of those whose
+    ends were half `seen`, (360,) 0..1, or seen at all where none was, and the line with radii evened out over EVEN_DEG,
+    as both are said to be."""
     z = np.linspace(first, last, 7)[1:-1]
     rows = surface.radius(CLOCK[None, :], z[:, None])
     radius = np.median(rows, axis=0)
     hands = np.median(np.stack([np.roll(radius, k) for k in (-1, 0, 1)]), axis=0)  # as it is measured: no needle
     diameter = hands[:180] + hands[180:]
-    both = np.ones(180, bool) if seen is None else seen[:180] & seen[180:]
-    ends = diameter[both] if both.any() else diameter
+    both = np.ones(180) if seen is None else np.minimum(seen[:180], seen[180:])
+    ends = next((diameter[one] for one in (both >= HALF_SEEN, both > 0.0) if one.any()), diameter)
     turn = np.radians(1.0)
     even = ndimage.uniform_filter1d(radius, EVEN_DEG, mode="wrap")
     ahead = np.roll(even, -1)
