@@ -153,6 +153,16 @@ def test_a_line_that_is_of_two_things_has_the_depth_of_the_deeper_one() -> None:
     assert [(number.what, number.true, number.right) for number in one.numbers] == [("depth", 2.0, True)]
 
 
+def test_the_line_that_names_a_place_speaks_for_it_not_its_neighbour() -> None:
+    """Seed 5: a pocket undecided by its own line, 1.2 mm deep, was scored against the 0.35 of another beside it."""
+    other = replace(SMALL, z_mm=225.0, depth_mm=1.0)
+    for group, state in (("undecided", "not established"), ("defect", "found")):
+        own = loss(z_mm=225.0, group=group, depth=1.0 if group == "defect" else 2.0)
+        one = score(scene_with(SMALL, other), results(loss(), own))
+        assert [outcome.state for outcome in one.outcomes] == ["found", state]
+        assert all(number.right for number in one.numbers if number.what == "depth")
+
+
 def test_what_is_too_small_or_was_not_scanned_is_not_missed() -> None:
     shallow, short = replace(SMALL, depth_mm=0.4), replace(SMALL, length_mm=3.0)
     dome = Thing("bump", 200.0, 20.0, 90.0, 16.0, 0.52)  # 4 mm of it stand over 0.5 mm

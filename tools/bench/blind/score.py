@@ -190,6 +190,9 @@ def judged(
         return "outside", None, []
     near = [one for one in listed if overlap(thing, one, radius)]
     right = [one for one in near if one.kind in ACCEPTS[thing.kind]]
+    holding = [one for one in results.listed if one.kind in ACCEPTS[thing.kind] and _holds(one, thing)]
+    if thing.kind in WALL_THINGS and holding and all(one.group == "undecided" for one in holding):
+        return "not established", None, []  # the line that names its place says that it is not known
     if right:
         return "found", min(right, key=lambda one: _away(thing, one, radius)), []
     if "object" in ACCEPTS[thing.kind] and results.objects:
@@ -288,6 +291,12 @@ def overlap(thing: Thing, one: Listed, radius: float) -> bool:
         return True
     off = abs(float(away_deg(np.array(thing.clock_deg), one.clock_deg)))
     return off <= (thing.arc_deg + one.arc_deg) / 2 + BESIDE_DEG
+
+
+def _holds(one: Listed, thing: Thing) -> bool:
+    """Whether the middle of a thing lies in what is listed."""
+    off = abs(float(away_deg(np.array(thing.clock_deg), one.clock_deg)))
+    return abs(thing.z_mm - one.z_mm) <= one.length_mm / 2 and off <= one.arc_deg / 2
 
 
 def span(one: Listed) -> tuple[float, float]:
