@@ -26,6 +26,12 @@ uint8_t preamble_lamp(const preamble_t* const self, const uint8_t ratio)
     return (LAMPS >> (2U * bits)) & 3U;
 }
 
+bool preamble_cycle(preamble_t* const self)
+{
+    self->cycles++;  // comes round to 0 after 65 536 cycles, which is no interval
+    return (self->config.interval > 0U) && (self->cycles == self->config.interval);
+}
+
 void preamble_step(preamble_t* const self)
 {
     const uint32_t bits = self->sequence;

@@ -82,8 +82,7 @@ static void next_slot(sequencer_t* const self, const uint8_t taken)
     bool due = preamble->config.now != 0U;
     if (is_led_slot(&self->config, taken)) {
         self->slot = 0;
-        preamble->cycles++;
-        due |= preamble->cycles == preamble->config.interval;  // never with 0: they are counted first
+        due |= preamble_cycle(preamble);
     }
     if (due) {
         begin(self, true);

@@ -132,6 +132,22 @@ static void one_comes_after_every_interval_of_lamp_cycles(void)
     }
 }
 
+static void nobody_who_ordered_none_gets_one_however_long_it_scans(void)
+{
+    preamble_t never = {.config = {.length = 7}};
+    preamble_t rare = {.config = {.length = 7, .interval = UINT16_MAX}};
+    uint32_t due[2] = {0, 0};
+    for (uint32_t cycle = 0; cycle < 3U * 65536U; cycle++) {
+        due[0] += preamble_cycle(&never) ? 1U : 0U;
+        if (preamble_cycle(&rare)) {
+            due[1]++;
+            rare.cycles = 0;  // as the sequencer begins it
+        }
+    }
+    EXPECT_EQ(due[0], 0);
+    EXPECT_EQ(due[1], 3);
+}
+
 static void an_order_begins_one_after_the_loaded_flash_and_one_that_runs_is_not_begun_anew(void)
 {
     scan(4, 15, 0);
@@ -367,6 +383,7 @@ void preamble_tests(void)
     RUN(it_lights_what_the_sequence_says_and_goes_on_where_the_last_one_ended);
     RUN(the_sequence_takes_every_state_but_0_before_it_repeats);
     RUN(one_comes_after_every_interval_of_lamp_cycles);
+    RUN(nobody_who_ordered_none_gets_one_however_long_it_scans);
     RUN(an_order_begins_one_after_the_loaded_flash_and_one_that_runs_is_not_begun_anew);
     RUN(an_order_within_a_flash_disturbs_neither_it_nor_the_next);
     RUN(an_order_of_none_leaves_the_cycle_alone);
