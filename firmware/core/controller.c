@@ -26,12 +26,13 @@ void controller_start(controller_t* const self)
     sequencer_start(&self->sequencer);
 }
 
-static void report_burst(controller_t* const self)
+// Safety looks again first: what cut a train may have happened since this round began, and its report names the cause.
+static void end_burst(controller_t* const self)
 {
     uint16_t done;
     if (bursts_ended(&self->bursts, &done)) {
         const uint32_t now = board_tick();
-        safety_run(self, now);  // what cut it may have happened since this round began
+        safety_run(self, now);
         bursts_report(&self->bursts, &self->events, done, now);
     }
 }
@@ -152,8 +153,9 @@ void controller_run(controller_t* const self)
     trail->part = PART_LOAD;
     const bool accepted = sequencer_load(&self->sequencer, &self->events, now);
     safety_insist(self, accepted, sequencer_lamp(&self->sequencer));
+    trail->part = PART_SAFETY;
+    end_burst(self);
     trail->part = PART_REPORTS;
-    report_burst(self);
     turntable_run(&self->turntable, &self->events, now);
     board_measure_run();
     report_odometer(self);

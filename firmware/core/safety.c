@@ -23,7 +23,9 @@ static void set_lamps(controller_t* const self, const bool on)
 
 void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t detail)
 {
-    // While a fault is latched nothing is armed, so nothing is left that could trip a second one over it.
+    if (self->fault != FAULT_NONE) {
+        return;  // the first cause stays: `clear` asks whether that one is gone, and nothing is live any more
+    }
     self->fault = fault;
     bursts_cut(&self->bursts, fault);
     set_microwave(self, false);
@@ -36,7 +38,7 @@ void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t d
 
 void safety_insist(controller_t* const self, const bool accepted, const uint32_t output)
 {
-    if (!accepted && (self->fault == FAULT_NONE)) {
+    if (!accepted) {
         safety_trip(self, FAULT_LIMIT, output);
     }
 }
@@ -51,12 +53,14 @@ void safety_run(controller_t* const self, const uint32_t now)
 {
     const bool starved = board_microwave_starved();  // first: an interlock that opens in between is the cause of both
     const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was live
-    if ((self->armed == 0U) && !self->turntable.moving) {
+    const bool live = (self->armed != 0U) || self->turntable.moving;
+    if (tripped && (live || self->turntable.held)) {
+        safety_trip(self, FAULT_INTERLOCK, 0U);
+    }
+    if ((self->fault != FAULT_NONE) || !live) {
         return;
     }
-    if (tripped) {
-        safety_trip(self, FAULT_INTERLOCK, 0U);
-    } else if (starved) {
+    if (starved) {
         safety_trip(self, FAULT_WATCHDOG, BOARD_STARVED_MS);
     } else if (!board_connected(self->session) || (ticks_since(now, self->heard) > host_timeout_ticks(self))) {
         safety_trip(self, FAULT_HOST_TIMEOUT, now - self->heard);

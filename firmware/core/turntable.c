@@ -111,13 +111,15 @@ uint8_t turntable_move(turntable_t* const self, const command_move_t* const comm
         return STATUS_UNSAFE;
     }
     self->moving = true;
+    self->held = false;
+    self->hold = command->hold != 0U;
     self->cause = 0U;
     self->towards = towards;
     self->period = command->period;
     // At most 2 * TURNTABLE_POSITION_MAX_STEPS: three words a step still fit a DMA channel's count.
     self->steps = (uint32_t)(up ? command->position - from : from - command->position);
     self->pace = period_at(self, 0U);
-    board_turntable_move(command->position, self->pace, command->hold != 0U);
+    board_turntable_move(command->position, self->pace, self->hold);
     return STATUS_OK;
 }
 
@@ -154,6 +156,8 @@ void turntable_cut(turntable_t* const self)
         self->cause = STOP_CAUSE_FAULT;
         mark_lost(self);
     }
+    self->hold = false;
+    self->held = false;
     board_turntable_cut();
 }
 
@@ -188,6 +192,7 @@ void turntable_run(turntable_t* const self, events_t* const events, const uint32
         }
     } else if (self->moving) {
         self->moving = false;
+        self->held = self->hold;
         const int32_t position = board_turntable_position();
         if (self->cause != 0U) {
             event_turntable_stopped_pack(

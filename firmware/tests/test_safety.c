@@ -251,6 +251,38 @@ static void the_first_fault_stays_latched(void)
     EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
 }
 
+// A train and a move at once: the cut train's end is found in the very round in which the move is still to be reported.
+static uint64_t fall_silent(const uint64_t open_interlock)
+{
+    start_armed(ARM_MICROWAVE);
+    uint8_t payload[COMMAND_MOVE_LENGTH];
+    command_move_pack(&(command_move_t){.position = 100000, .period = 100000}, payload);
+    EXPECT_EQ(rig_status_of(COMMAND_MOVE, payload), STATUS_OK);
+    EXPECT_EQ(start_train(60000), STATUS_OK);
+    rig_forget();
+    if (open_interlock != 0U) {
+        native_input(native_boot_tick() + open_interlock, PIN_INTERLOCK, 1);
+    }
+    rig_pass(250 * MS);
+    const size_t faults = rig_count(EVENT_FAULT);
+    EXPECT_EQ(faults, 1);
+    return take_fault().tick;
+}
+
+static void a_fault_is_told_once_and_the_first_stays_with_a_train_and_a_move(void)
+{
+    const uint64_t silent = fall_silent(0U);
+    EXPECT_EQ(rig_status().fault, FAULT_HOST_TIMEOUT);
+    for (uint64_t before = 0; before < 11000U; before += 61U) {
+        fall_silent(silent - before);
+        const uint8_t fault = rig_status().fault;
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), (fault == FAULT_INTERLOCK) ? STATUS_UNSAFE : STATUS_OK);
+        if (before >= 6000U) {
+            EXPECT_EQ(fault, FAULT_INTERLOCK);  // opened a round before the host was given up
+        }
+    }
+}
+
 static void another_schema_takes_the_outputs_away(void)
 {
     start_armed(both);
@@ -310,6 +342,7 @@ void safety_tests(void)
     RUN(an_output_the_board_refuses_latches_a_limit_fault);
     RUN(an_interlock_that_opens_while_a_train_is_asked_for_leaves_the_microwave_dark);
     RUN(the_first_fault_stays_latched);
+    RUN(a_fault_is_told_once_and_the_first_stays_with_a_train_and_a_move);
     RUN(another_schema_takes_the_outputs_away);
     RUN(outputs_are_armed_one_by_one);
 }

@@ -48,6 +48,27 @@ static void a_move_out_of_range_is_refused(void)
     EXPECT_EQ(rig_rises(PIN_STEP), 0);
 }
 
+static void an_interlock_that_opens_takes_the_power_of_one_that_is_held(void)
+{
+    for (uint8_t hold = 0; hold < 2U; hold++) {
+        rig_start();
+        EXPECT_EQ(move(20, 10000, hold).status, STATUS_OK);
+        rig_pass(10 * MS);
+        EXPECT_EQ(native_pin(PIN_ENABLE), 1U - hold);
+        native_input(native_tick(), PIN_INTERLOCK, 1);
+        rig_pass(1 * MS);
+        EXPECT_EQ(native_pin(PIN_ENABLE), 1);
+        EXPECT_EQ(rig_status().fault, (hold != 0U) ? FAULT_INTERLOCK : FAULT_NONE);  // of what has no power it is none
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), (hold != 0U) ? STATUS_UNSAFE : STATUS_OK);
+        native_input(native_tick(), PIN_INTERLOCK, 0);
+        rig_pass(1 * MS);
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+        native_input(native_tick(), PIN_INTERLOCK, 1);
+        rig_pass(1 * MS);
+        EXPECT_EQ(rig_status().fault, FAULT_NONE);  // it is held no more
+    }
+}
+
 static void configure(const uint8_t switches)
 {
     uint8_t payload[COMMAND_TURNTABLE_LENGTH];
@@ -346,5 +367,6 @@ void turntable_tests(void)
     RUN(a_hard_switch_ends_it_within_a_few_steps_either_way);
     RUN(steps_count_as_lost_only_after_an_end_at_speed);
     RUN(what_comes_after_the_last_step_changes_nothing);
+    RUN(an_interlock_that_opens_takes_the_power_of_one_that_is_held);
     RUN(an_open_interlock_refuses_a_move_though_nothing_has_tripped);
 }
