@@ -121,8 +121,10 @@ def ring_offsets(
 
     Notes
     -----
-    Least squares of r - R = w(z, clock) + b(ring, turn) - (head's lean and shift): w even between nodes, five waves
-    round; all of them free but for bounds far beyond what is real. Cauchy's weights, scale from the median residual.
+    Least squares of r - R = W + w(z, clock) + b(ring, turn) - (head's lean and shift): w even between nodes, five waves
+    round; all of them free but for bounds far beyond what is real. W is the whole wall's: without it a hundred nodes'
+    bounds would hold their mean, and what a pipe of two sizes departs from R be the rings'. Cauchy's weights, scale
+    from the median residual.
     """
     x, y, z = seen.in_pipe(seen.points).T
     radius, clock = np.hypot(x, y), np.arctan2(y, x)
@@ -137,7 +139,8 @@ def ring_offsets(
     pull = np.stack([-ahead * y, ahead * x, x, y], axis=1) / radius[:, None]
     first_head = len(used) * of_wall
     first_ring = first_head + 4 * heads
-    size = first_ring + rings * of_ring + 1
+    drifting = first_ring + rings * of_ring
+    whole, size = drifting + 1, drifting + 2
     station = seen.z_mm[seen.head]
     middle = 0.5 * float(station.min() + station.max())
     columns = [
@@ -145,7 +148,8 @@ def ring_offsets(
         both[len(node) :, None] * of_wall + np.arange(of_wall),
         first_head + 4 * seen.head[:, None] + np.arange(4),
         first_ring + of_ring * seen.ring[:, None] + np.arange(of_ring),
-        np.full((len(rows), 1), size - 1),
+        np.full((len(rows), 1), drifting),
+        np.full((len(rows), 1), whole),
     ]
     values = [
         (1 - part)[:, None] * waves,
@@ -153,6 +157,7 @@ def ring_offsets(
         pull,
         own,
         (station - middle)[:, None] * float(held and len(sections) > 1),
+        np.ones((len(rows), 1)),
     ]
     column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
     design = sparse.csr_matrix((value.ravel(), (np.repeat(rows, column.shape[1]), column.ravel())), (len(rows), size))
@@ -161,7 +166,8 @@ def ring_offsets(
     loose[first_head:first_ring] = np.tile([LEAN, LEAN, LEAN * radius_mm, LEAN * radius_mm], heads)
     loose[first_ring:] = WALL_PART * radius_mm
     span = max(float(np.ptp(seen.z_mm)), radius_mm)
-    loose[-1] = SCAN_DRIFT * radius_mm / span  # mm a mm
+    loose[drifting] = SCAN_DRIFT * radius_mm / span  # mm a mm
+    loose[whole] = radius_mm
     known = [_section((z >= one.from_mm) & (z <= one.to_mm), both, part, of_wall, size) for one in sections]
     answer, excess = np.zeros(size), radius - radius_mm
     noise, alike = np.inf, 1.0
@@ -178,7 +184,7 @@ def ring_offsets(
             right += row * (section.radius_mm - radius_mm) / section.sigma_mm**2
         answer = linalg.solve(normal, right, assume_a="pos")
         alike = _alike(seen, clock, np.clip(residual, -LOOSE * noise, LOOSE * noise))
-    mine = slice(first_ring, size - 1)
+    mine = slice(first_ring, drifting)
     inverse = linalg.inv(normal)
     offsets = answer[mine].reshape(rings, of_ring)
     share = np.bincount(seen.ring, minlength=rings) / len(seen.ring)
@@ -189,8 +195,8 @@ def ring_offsets(
         weight,
         noise,
         middle,
-        float(answer[-1]),
-        math.sqrt(max(float(inverse[-1, -1]), 0.0)),
+        float(answer[drifting]),
+        math.sqrt(max(float(inverse[drifting, drifting]), 0.0)),
         np.array([middle_mm + row @ answer for row in known]),
         np.array([_spread(row[:first_head:of_wall], answer[:first_head:of_wall]) for row in known]),
         _winding(used, np.stack([answer[i:first_head:of_wall] for i in (1, 2)], axis=1)),
@@ -227,6 +233,7 @@ def _section(inside: BoolArray, both: NDArray[np.intp], part: FloatArray, waves:
     row = np.zeros(size)
     for node, share in zip(both.reshape(2, -1), (1.0 - part, part), strict=True):
         np.add.at(row, node[inside] * waves, share[inside] / np.count_nonzero(inside))
+    row[-1] = 1.0
     return row
 
 
