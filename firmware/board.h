@@ -124,11 +124,14 @@ typedef struct {
     int32_t odometer;  // quadrature counts since reset, at this edge
 } board_edge_t;
 
+// The most that one flash can owe: after a reset nobody knows what the last one before it was.
+#define BOARD_FLASH_OWES_MAX (LAMP_WIDTH_MAX_TICKS * (1000U / LAMP_DUTY_MAX_PERMILLE))
+
 // Load the flash for the NEXT accepted edge. One edge takes it; a second load before that replaces the first. With
 // nothing loaded an edge is still stamped, nothing fires, and the last hold-off stays in force. False: refused, because
-// the width is over the compiled-in limit, the flash outlasts its own hold-off or takes more than the duty's share of
-// it, or the lamp still owes dark time; then nothing is loaded. A board that cannot be sure of the hold-off loads
-// nothing lit either, and says true: the edge then finds none, once.
+// the width is over the compiled-in limit, or the flash outlasts its own hold-off or takes more than the duty's share
+// of it; then nothing is loaded. Where the lamp would still owe dark time at the next edge, as after a reset, or the
+// board cannot be sure of the hold-off, it loads nothing lit either, and says true: the edge then finds none.
 bool board_flash_load(const board_flash_t* flash);
 
 // Once a round, before the edges: find out what they took, and follow the odometer.

@@ -33,6 +33,9 @@ void lamps_start(void)
 {
     memset(&lamps, 0, sizeof lamps);
     odometer_start();
+    const duty_t owed = {.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_FLASH_OWES_MAX};
+    lamps.duty[0] = owed;
+    lamps.duty[1] = owed;
 }
 
 void lamps_edge(void)
@@ -59,7 +62,8 @@ void lamps_edge(void)
             lamps.pin = (flash->lamp == LAMP_LED) ? PIN_LED : PIN_PROJECTOR;
             lamps.on = world.now + flash->delay_ticks;
             lamps.off = lamps.on + flash->width_ticks;
-            duty_charge(duty_of(flash->lamp), edge->tick, flash->width_ticks, LAMP_DUTY_MAX_PERMILLE);
+            duty_charge(duty_of(flash->lamp), edge->tick + flash->delay_ticks, flash->width_ticks,
+                        LAMP_DUTY_MAX_PERMILLE);
         }
     }
     lamps.refuse_until = world.now + lamps.holdoff;
@@ -88,10 +92,14 @@ void lamps_step(void)
 static bool is_allowed(const board_flash_t* const flash)
 {
     const uint64_t width = flash->width_ticks;
-    const uint64_t first_edge = (world.now < lamps.refuse_until) ? lamps.refuse_until : world.now;
     return (width <= LAMP_WIDTH_MAX_TICKS) && (flash->delay_ticks + width <= flash->holdoff_ticks) &&
-           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks) &&
-           duty_allows(duty_of(flash->lamp), (uint32_t)(first_edge - world.boot_tick)) && !world_refuses();
+           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks) && !world_refuses();
+}
+
+static bool would_owe(const board_flash_t* const flash)
+{
+    const uint64_t first_edge = (world.now < lamps.refuse_until) ? lamps.refuse_until : world.now;
+    return !duty_allows(duty_of(flash->lamp), (uint32_t)(first_edge - world.boot_tick) + flash->delay_ticks);
 }
 
 bool board_flash_load(const board_flash_t* const flash)
@@ -100,6 +108,9 @@ bool board_flash_load(const board_flash_t* const flash)
     lamps.is_loaded = false;
     if ((flash->lamp != LAMP_DARK) && !is_allowed(flash)) {
         return false;
+    }
+    if ((flash->lamp != LAMP_DARK) && would_owe(flash)) {
+        return true;
     }
     lamps.loaded = *flash;
     lamps.is_loaded = true;

@@ -89,6 +89,7 @@ static struct {
     bool loaded;        // the lamp machine holds a flash no edge has taken yet
     uint8_t tag;        // of that
     uint8_t lamp;
+    uint32_t delay;
     uint32_t width;
     uint32_t holdoff;       // SYNC has it, or will take it with the next edge
     uint32_t refuse_until;  // no edge is accepted before; meaningful while a lamp owes
@@ -128,7 +129,7 @@ static void settle(void)
             tag = lamps.tag;
             lamps.loaded = false;
             if (lamps.lamp != LAMP_DARK) {
-                duty_charge(duty_of(lamps.lamp), tick, lamps.width, LAMP_DUTY_MAX_PERMILLE);
+                duty_charge(duty_of(lamps.lamp), tick + lamps.delay, lamps.width, LAMP_DUTY_MAX_PERMILLE);
             }
         }
         lamps.refuse_until = tick + lamps.holdoff;
@@ -276,19 +277,23 @@ static void set_holdoff(const uint32_t ticks)
     }
 }
 
-// Limits at the pin. No flash outlasts its hold-off, none takes more than the duty's share of it, and whatever the
-// hold-off did, a lamp that owes dark time stays dark. From a flash on and over any span a lamp is therefore on for the
-// duty's share and one flash more at most: charges count from the edges, so of the flash that begins the span only its
-// delay is not counted, and that is shorter than its hold-off by its width at least.
+// Limits at the pin: no flash outlasts its hold-off, and none takes more than the duty's share of it.
 static bool is_allowed(const board_flash_t* const flash)
 {
     const uint64_t width = flash->width_ticks;
-    const uint32_t now = board_tick();
-    const uint32_t first_edge = tick_is_past(now, lamps.refuse_until) ? now : lamps.refuse_until;
     return (width >= LAMP_WIDTH_MIN_TICKS) && (width <= LAMP_WIDTH_MAX_TICKS) &&
            (flash->delay_ticks + width <= flash->holdoff_ticks) &&
-           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks) &&
-           duty_allows(duty_of(flash->lamp), first_edge);
+           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks);
+}
+
+// Whatever configurations and hold-offs follow each other, a lamp that owes dark time stays dark. It owes from the tick
+// on at which it came on: so from a flash on, and over any span, it is on for the duty's share and one flash more at
+// most, and no two flashes join.
+static bool would_owe(const board_flash_t* const flash)
+{
+    const uint32_t now = board_tick();
+    const uint32_t first_edge = tick_is_past(now, lamps.refuse_until) ? now : lamps.refuse_until;
+    return !duty_allows(duty_of(flash->lamp), first_edge + flash->delay_ticks);
 }
 
 bool board_flash_load(const board_flash_t* const flash)
@@ -296,17 +301,19 @@ bool board_flash_load(const board_flash_t* const flash)
     settle();
     const bool lit = flash->lamp != LAMP_DARK;
     const bool allowed = !lit || is_allowed(flash);  // before: nothing is loaded for as short as can be
+    const bool owes = lit && would_owe(flash);
     withdraw();
     if (!allowed) {
         return false;
     }
     set_holdoff(flash->holdoff_ticks);
-    if (lit && (lamps.holdoff < flash->holdoff_ticks)) {
-        return true;  // the next edge's hold-off may be too short for it: let that edge pass
+    if (owes || (lit && (lamps.holdoff < flash->holdoff_ticks))) {
+        return true;  // the next edge may come too soon for it, or its hold-off be too short: let that edge pass
     }
     const uint32_t gates = (flash->lamp == LAMP_LED) ? 1U << (PIN_LED - PIN_PROJECTOR) : (lit ? 1U : 0U);
     lamps.tag = flash->tag;
     lamps.lamp = flash->lamp;
+    lamps.delay = flash->delay_ticks;
     lamps.width = flash->width_ticks;
     lamps.loaded = true;
     REGISTER(PIO_TX(PIO0, LAMP_MACHINE)) = lit ? flash->delay_ticks : 0U;
@@ -337,6 +344,9 @@ static void start_rings(void)
 void lamps_start(void)
 {
     odometer_start();
+    const duty_t owed = {.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_FLASH_OWES_MAX};
+    lamps.duty[0] = owed;
+    lamps.duty[1] = owed;
     pio_load(PIO0, 0U, program, PROGRAM_LENGTH);
     REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(PIN_SYNC) | EXEC_WRAP(HIGH, HIGH + 1U);
     REGISTER(PIO_EXECCTRL(PIO0, LAMP_MACHINE)) = EXEC_WRAP(LAMP_IDLE, PROGRAM_LENGTH - 2U);

@@ -77,11 +77,16 @@ void rig_start(void)
 {
     rig_power_on();
     native_input(0, PIN_INTERLOCK, 0);
+    rig_identify();
+    rig_forget();
+}
+
+void rig_identify(void)
+{
     uint8_t payload[COMMAND_IDENTIFY_LENGTH];
     command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, payload);
     EXPECT_EQ(rig_status_of(COMMAND_IDENTIFY, payload), STATUS_OK);
     EXPECT_EQ(rig_status_of(COMMAND_INFO, (const uint8_t[]){LEVEL}), STATUS_OK);
-    rig_forget();
 }
 
 command_stage_t rig_config(const uint8_t generation, const uint8_t ratio)

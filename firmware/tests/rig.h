@@ -28,6 +28,9 @@ void rig_power_on(void);
 // The same, identified with the right schema, spoken to at our level, and the interlock closed.
 void rig_start(void);
 
+// With the right schema, spoken to at our level from now on.
+void rig_identify(void);
+
 // Timing at 25 fps: exposure 38 ms, readout 28 ms, so that all rows expose 2..12 ms after an edge.
 command_stage_t rig_config(uint8_t generation, uint8_t ratio);
 
