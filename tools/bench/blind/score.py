@@ -190,10 +190,10 @@ def judged(
         return "outside", None, []
     near = [one for one in listed if overlap(thing, one, radius)]
     right = [one for one in near if one.kind in ACCEPTS[thing.kind]]
-    holding = [one for one in results.listed if one.kind in ACCEPTS[thing.kind] and _holds(one, thing)]
-    if thing.kind in WALL_THINGS and holding and all(one.group == "undecided" for one in holding):
-        return "not established", None, []  # the line that names its place says that it is not known
     if right:
+        holding = [one for one in results.listed if one.kind in ACCEPTS[thing.kind] and _holds(one, thing, radius)]
+        if thing.kind in WALL_THINGS and holding and all(one.group == "undecided" for one in holding):
+            return "not established", None, []  # the line of its own place says so, whatever the neighbour's
         return "found", min(right, key=lambda one: _away(thing, one, radius)), []
     if "object" in ACCEPTS[thing.kind] and results.objects:
         return "found", None, []
@@ -237,7 +237,7 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
         "taper": "bore",
     }
     kind = kinds.get(thing.kind, thing.kind)
-    longest, widest = max(LOCAL * thing.length_mm, LOOK_OF_RADIUS * radius), max(LOCAL * thing.arc_deg, LOOK_DEG)
+    longest, widest = _most(thing, radius)
     undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
     if thing.arc_deg < 360.0:  # a place without a name speaks of what goes all round, and of nothing on a part of it
         undecided = [one for one in undecided if one.kind != NAMELESS and one.arc_deg <= widest]
@@ -293,10 +293,17 @@ def overlap(thing: Thing, one: Listed, radius: float) -> bool:
     return off <= (thing.arc_deg + one.arc_deg) / 2 + BESIDE_DEG
 
 
-def _holds(one: Listed, thing: Thing) -> bool:
-    """Whether the middle of a thing lies in what is listed."""
+def _most(thing: Thing, radius: float) -> tuple[float, float]:
+    """mm and degrees that a line or a place may be long and wide to speak of a thing: it speaks of little else."""
+    return max(LOCAL * thing.length_mm, LOOK_OF_RADIUS * radius), max(LOCAL * thing.arc_deg, LOOK_DEG)
+
+
+def _holds(one: Listed, thing: Thing, radius: float) -> bool:
+    """Whether the middle of a thing lies in what is listed, and that speaks of little else."""
+    longest, widest = _most(thing, radius)
     off = abs(float(away_deg(np.array(thing.clock_deg), one.clock_deg)))
-    return abs(thing.z_mm - one.z_mm) <= one.length_mm / 2 and off <= one.arc_deg / 2
+    inside = abs(thing.z_mm - one.z_mm) <= one.length_mm / 2 and off <= one.arc_deg / 2
+    return inside and one.length_mm <= longest and one.arc_deg <= widest
 
 
 def span(one: Listed) -> tuple[float, float]:
