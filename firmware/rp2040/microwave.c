@@ -148,9 +148,16 @@ void dma_stop(const uint32_t channel)
     }
 }
 
-static void stop_players(void)
+// They drive nothing any more. Before an instruction is forced upon GUARD: it takes the place of the one that drives
+// the pins low (datasheet 3.5.7), and a rise in that very cycle would reach the pin.
+static void halt_players(void)
 {
     CLEAR_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
+}
+
+static void stop_players(void)
+{
+    halt_players();
     dma_stop(DMA_CHIPS);
     dma_stop(DMA_TRIGGER);
     for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
@@ -212,6 +219,9 @@ static void follow_train(void)
 {
     const uint32_t looked = board_tick();  // before the guard is looked at: up to here it had not cut
     const bool cut = train.enabled && is_guard_cutting();
+    if (cut) {
+        halt_players();
+    }
     const uint32_t now = cut ? cut_tick(&train.starved) : looked;  // what went on after the cut was dark
     if (train.running) {
         charge_until(now);
@@ -236,6 +246,7 @@ void board_microwave(const bool enabled)
     const bool on = enabled && !board_interlock_open();
     const bool was_cut = is_guard_cutting();
     if (!on) {
+        halt_players();
         execute(GUARD_MACHINE, JMP(GUARD_CUT));  // before the train is followed: GUARD keeps when that was
     }
     follow_train();

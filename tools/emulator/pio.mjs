@@ -27,6 +27,7 @@ class Machine {
     this.osrCount = 32;
     this.pc = 0;
     this.delay = 0;
+    this.forced = null; // an instruction that takes the next cycle
     this.tx = [];
     this.rx = [];
   }
@@ -187,6 +188,12 @@ class Machine {
   }
 
   step() {
+    if (this.forced !== null) {
+      const word = this.forced;
+      this.forced = null;
+      this.carryOut(word);
+      return;
+    }
     if (this.delay > 0) { this.delay--; return; }
     const at = this.pc;
     const word = this.pio.memory[at];
@@ -196,10 +203,18 @@ class Machine {
     this.delay = (word >>> 8) & 31;
   }
 
-  // By SMx_INSTR, at once, whether enabled or not. A stalled instruction written so is not modelled.
+  // By SMx_INSTR. A machine that runs does it in its next cycle, in place of what its program has there (datasheet
+  // 3.5.7): an instruction that drives a pin in every cycle then does not drive it in that one. One that stands does it
+  // at once. A stalled instruction written so is not modelled.
   force(word) {
-    const before = this.pc;
     if ((word >>> 8) & 31) fault('a forced instruction with a delay is not modelled');
+    if (!this.enabled) { this.carryOut(word); return; }
+    if (this.forced !== null) fault(`PIO${this.pio.number}: two forced instructions within a cycle`);
+    this.forced = word;
+  }
+
+  carryOut(word) {
+    const before = this.pc;
     if (!this.execute(word)) fault(`PIO${this.pio.number}: forced instruction ${hex(word)} stalls`);
     this.delay = 0;
     if (!this.jumped) this.pc = before;
@@ -208,6 +223,7 @@ class Machine {
   // Cycles in which this machine does nothing anybody sees, all else being equal.
   quiet() {
     if (!this.enabled) return Infinity;
+    if (this.forced !== null) return 0;
     if (this.delay > 0) return this.delay;
     const { pio, pc: pc0, x: x0, y: y0, isr: isr0, osr: osr0, osrCount: count0 } = this;
     this.loop = null;
