@@ -52,6 +52,8 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
     48  // from the tick read before the first words are written until they are; and what DMA may be late
 #define LEAD_TICKS 200U                         // from the start to the first thing that may happen
 #define START_OFFSET 24U                        // from the tick read before the machines start to their first level
+#define ORDER_OFFSET 24U                        // from the tick read before GUARD is told to cut until all is low
+#define ORDER_TICKS 6                           // GUARD's own count is of two ticks, and may be off by so many
 #define CREDIT 100000U                          // what GUARD counts down, once in two ticks
 #define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
 #define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
@@ -62,6 +64,8 @@ static volatile uint32_t trigger_list[LIST_MIN] __attribute__((aligned(4U * LIST
 static struct {
     bool enabled;
     bool starved;      // cut because no credit came
+    bool ordered;      // the core has GUARD cut
+    uint32_t order;    // from which tick on
     uint32_t guarded;  // tick at which GUARD took its first credit
     uint32_t credits;  // laid out since, the first one not counted
     bool running;
@@ -136,6 +140,9 @@ static uint32_t cut_tick(bool* const starved)
     const uint32_t taken = train.credits - credits_waiting();
     *starved = left == CREDIT_GONE;
     const uint32_t tick = train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
+    if (train.ordered && (ticks_since(tick, train.order) > -ORDER_TICKS)) {
+        return train.order;
+    }
     const uint32_t now = board_tick();  // cut while it changed from one credit to the next, its count is of neither
     return tick_is_past(tick, now) ? now : tick;
 }
@@ -245,11 +252,14 @@ void board_microwave(const bool enabled)
 {
     const bool on = enabled && !board_interlock_open();
     const bool was_cut = is_guard_cutting();
-    if (!on) {
+    if (!on && was_cut) {
         halt_players();
-        execute(GUARD_MACHINE, JMP(GUARD_CUT));  // before the train is followed: GUARD keeps when that was
+    } else if (!on) {  // before the train is followed; an interlock that opened in between was first by GUARD's count
+        train.order = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_CUT)) + ORDER_OFFSET;
     }
+    train.ordered = !on && !was_cut;
     follow_train();
+    train.ordered = false;
     train.starved = train.starved && was_cut;
     train.enabled = on;
     if (on) {
