@@ -60,8 +60,12 @@ void alarm_handler(void)
     REGISTER(TIMER_INTR) = 1U;
 }
 
+// With interrupts off: one that is pending ends the sleep all the same. Else a storm of them between setting the alarm
+// and sleeping would outlast the alarm, and nothing would wake the loop before the timer came round.
 void time_sleep(void)
 {
+    interrupts_off();
     REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
     __asm volatile("wfi");
+    interrupts_on();
 }

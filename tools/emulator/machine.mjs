@@ -107,6 +107,10 @@ export class Machine {
     // The boot ROM: copies 256 bytes, enters them with LR = 0.
     chip.sram.set(this.flash.subarray(0, 256), BOOT2_AT - RAM);
     const { core } = chip;
+    // What is pending ends WFI though PRIMASK holds it back, and is taken once that lets it (ARMv6-M, WFI): rp2040js takes
+    // it at once.
+    const check = core.checkForInterrupts;
+    core.checkForInterrupts = () => (core.waiting && core.PM ? (core.pendingInterrupts & core.enabledInterrupts) !== 0 : check.call(core));
     core.registers[13] = 0x20041f00;
     core.registers[14] = 0;
     core.registers[15] = BOOT2_AT;
@@ -400,6 +404,7 @@ export class Machine {
       }
       const held = Math.max(this.heldUntil, this.stalledUntil);
       const { core } = this.chip;
+      if (core.waiting && core.PM && core.checkForInterrupts()) core.waiting = false; // pending before it slept
       if (this.now < held || core.waiting) {
         if (core.waiting) this.loop.slept ??= this.now;
         const alarm = this.alarmTick;
