@@ -1,7 +1,9 @@
 // USB as a CDC-ACM device of full speed: the bus, and endpoint 0, where the device says what it is and the host asks
 // things of it. One configuration, one interface for control, one for data.
 //
-// Everything is done in usb_run, from the main loop. The interrupt only wakes that.
+// Everything is done in usb_run, from the main loop. The interrupt wakes that; and where a setup packet comes, it takes
+// back what endpoint 0 still holds for the transfer before. A host that loses interest in one (macOS, whenever it
+// closes a port) never fetches its answer, and the controller keeps it armed: the next request would get it.
 
 #include "../board.h"
 #include "../ticks.h"
@@ -57,6 +59,8 @@ static const uint8_t configuration_descriptor[CONFIGURATION_LENGTH] = {
     0,  // bulk
 };
 
+#define USB_INT_ALL (USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME)
+
 enum { REST, ANSWERING, ANSWERED, TAKING, TAKEN };  // of a control transfer
 
 static struct {
@@ -79,19 +83,35 @@ typedef struct {
     uint16_t length;
 } setup_t;
 
+// With a setup packet here that nobody has looked at, what was just handed over belongs to a transfer that is over; the
+// interrupt may have gone by before.
+static void void_if_over(void)
+{
+    if ((REGISTER(USB_SIE_STATUS) & SIE_SETUP) != 0U) {
+        usb_void_control();
+    }
+}
+
 static void refuse(void)
 {
     control.phase = REST;
     REGISTER(USB_EP_STALL_ARM) = BIT(CONTROL_IN) | BIT(CONTROL_OUT);
     REGISTER(USB_BUFFER_CONTROL(CONTROL_IN)) = BUFFER_STALL;
     REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) = BUFFER_STALL;
+    void_if_over();
+}
+
+static void hand_over_control(const uint32_t endpoint, const uint32_t bits)
+{
+    usb_hand_over(endpoint, bits);
+    void_if_over();
 }
 
 static void send_control(const uint32_t size)
 {
     const uint32_t toggle = control.data1 ? BUFFER_DATA1 : 0U;
     control.data1 = !control.data1;
-    usb_hand_over(CONTROL_IN, BUFFER_FULL | toggle | size);
+    hand_over_control(CONTROL_IN, BUFFER_FULL | toggle | size);
 }
 
 static void agree(void)
@@ -236,7 +256,7 @@ static void carry_out(const setup_t* const setup)
         break;
     case REQUEST(CLASS_TO_INTERFACE, 0x20):  // SET_LINE_CODING
         control.phase = TAKING;
-        usb_hand_over(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);
+        hand_over_control(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);
         break;
     case REQUEST(CLASS_FROM_INTERFACE, 0x21):  // GET_LINE_CODING
         answer(setup, line_coding, sizeof line_coding);
@@ -274,13 +294,16 @@ static void begin_control(void)
     }
 }
 
-static void control_sent(void)
+// is_over : another transfer has begun, and this one gets nothing more.
+static void control_sent(const bool is_over)
 {
-    if ((control.phase == ANSWERING) && ((control.left > 0U) || control.ends_short)) {
+    if (is_over && (control.phase == ANSWERING)) {
+        control.phase = REST;
+    } else if ((control.phase == ANSWERING) && ((control.left > 0U) || control.ends_short)) {
         answer_further();
     } else if (control.phase == ANSWERING) {
         control.phase = ANSWERED;
-        usb_hand_over(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);  // the host's empty packet
+        hand_over_control(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);  // the host's empty packet
     } else if (control.phase == TAKEN) {
         control.phase = REST;
         if (control.address != 0U) {
@@ -289,10 +312,12 @@ static void control_sent(void)
     }
 }
 
-static void control_received(void)
+static void control_received(const bool is_over)
 {
     const uint32_t size = REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) & BUFFER_LENGTH;
-    if ((control.phase == TAKING) && (size == sizeof line_coding)) {
+    if (is_over) {
+        control.phase = REST;
+    } else if ((control.phase == TAKING) && (size == sizeof line_coding)) {
         for (uint32_t i = 0; i < sizeof line_coding; i++) {
             line_coding[i] = usb_packet_of(CONTROL_OUT)[i];
         }
@@ -366,11 +391,12 @@ void usb_run(void)
     if ((status & SIE_BUS_RESET) != 0U) {
         bus_reset();
     } else {
+        const bool is_over = (status & SIE_SETUP) != 0U;
         if ((done & BIT(CONTROL_IN)) != 0U) {
-            control_sent();
+            control_sent(is_over);
         }
         if ((done & BIT(CONTROL_OUT)) != 0U) {
-            control_received();
+            control_received(is_over);
         }
         usb_port_done(done);
     }
@@ -386,12 +412,18 @@ void usb_run(void)
         return;
     }
     usb_port_flush();
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+    REGISTER(USB_INTE) = USB_INT_ALL;
 }
 
+// Until usb_run has looked nothing else is waited for, and then not even another setup packet: none of endpoint 0's
+// buffers is left.
 void usb_handler(void)
 {
-    REGISTER(NVIC_DISABLE) = 1U << IRQ_USB;
+    const bool is_setup = (REGISTER(USB_SIE_STATUS) & SIE_SETUP) != 0U;
+    REGISTER(USB_INTE) = is_setup ? 0U : USB_INT_SETUP;
+    if (is_setup) {
+        usb_void_control();
+    }
 }
 
 void usb_start(void)
@@ -406,7 +438,7 @@ void usb_start(void)
     usb_place_packets(NOTICE_IN, NOTICE_IN);
     usb_place_packets(DATA_IN, DATA_IN);
     usb_place_packets(DATA_OUT, DATA_OUT);
-    REGISTER(USB_INTE) = USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME;
+    REGISTER(USB_INTE) = USB_INT_ALL;
     SET_BITS(USB_SIE_CTRL) = 1U << 16;  // pull up D+: here we are
     REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
 }

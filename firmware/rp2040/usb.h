@@ -17,6 +17,7 @@ enum { DATA_IN_SECOND = 6 };  // no endpoint: another buffer of DATA_IN's
 // Buffers. One belongs to the controller from usb_hand_over until BUFF_STATUS says it is done.
 void usb_hand_over(uint32_t endpoint, uint32_t bits);
 void usb_take_back(uint32_t endpoints);
+void usb_void_control(void);                                 // endpoint 0's; what was done before is still said to be
 void usb_place_packets(uint32_t endpoint, uint32_t buffer);  // the endpoint on, its next packet in this buffer
 volatile uint8_t* usb_packet_of(uint32_t buffer);            // an endpoint's own, or DATA_IN_SECOND
 void usb_copy_out(uint32_t buffer, uint32_t at, const uint8_t* bytes, uint32_t size);

@@ -39,7 +39,7 @@ void usb_hand_over(const uint32_t endpoint, const uint32_t bits)
 }
 
 // Take buffers back from the controller. The first Picos (RP2040-B0, B1) never say that they are done: erratum E2.
-void usb_take_back(const uint32_t endpoints)
+static void abort_buffers(const uint32_t endpoints)
 {
     SET_BITS(USB_EP_ABORT) = endpoints;
     for (uint32_t i = 0; (i < 1000U) && ((REGISTER(USB_EP_ABORT_DONE) & endpoints) != endpoints); i++) {
@@ -51,7 +51,17 @@ void usb_take_back(const uint32_t endpoints)
     }
     REGISTER(USB_EP_ABORT_DONE) = endpoints;
     CLEAR_BITS(USB_EP_ABORT) = endpoints;
+}
+
+void usb_take_back(const uint32_t endpoints)
+{
+    abort_buffers(endpoints);
     REGISTER(USB_BUFF_STATUS) = endpoints;
+}
+
+void usb_void_control(void)
+{
+    abort_buffers(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
 }
 
 void usb_place_packets(const uint32_t endpoint, const uint32_t buffer)

@@ -218,8 +218,9 @@ class EmulatedBoard:
         else:
             self._do(op="write", hex=data.hex())
 
-    def usb_do(self, what: str, **more: str) -> None:
-        """attach, detach, reset, suspend, resume, hang, open, close, write (hex), control (setup, data)."""
+    def usb_do(self, what: str, **more: str | list[str]) -> None:
+        """attach, detach, reset, suspend, resume, hang, open, close, write (hex), control (setup, data), controls
+        (setups, one right after the other), abandon (setup: and nothing after it)."""
         self._do(op="usb", do=what, **more)
 
     def plug_in(self, within: int = 400 * MS) -> None:

@@ -174,6 +174,45 @@ def test_standard_and_class_requests_are_answered(board: EmulatedBoard) -> None:
     assert board.identify().status == StatusCode.OK
 
 
+# What a host loses interest in after its setup packet, and what it asks next: macOS does so whenever it closes a port.
+LINE_CODING, DEVICE = setup(0xA1, 0x21, 0, 0, 7), setup(0x80, 6, 0x0100, 0, 18)
+
+
+@pytest.mark.parametrize("times", [12, pytest.param(300, marks=pytest.mark.deep)])
+def test_a_request_after_an_abandoned_one_gets_its_own_answer(board: EmulatedBoard, times: int) -> None:
+    board.plug_in()
+    own = board.control(DEVICE)
+    assert own[0] == "ok" and len(own[1]) == 18
+    for number in range(times):
+        board.run(board.now + 137 * number)
+        board.usb_controls.clear()
+        board.usb_do("abandon", setup=LINE_CODING.hex())
+        while not board.usb_controls:
+            board.run(board.now + MS // 2)
+        assert board.control(DEVICE) == own, number
+    assert board.identify().status == StatusCode.OK
+
+
+@pytest.mark.parametrize("phase", [0, *(pytest.param(k, marks=pytest.mark.deep) for k in range(1, 10))])
+def test_a_port_that_is_closed_after_an_abandoned_request_is_heard_to_be(board: EmulatedBoard, phase: int) -> None:
+    """Its closing was acknowledged by what was left, and overwritten by the next request: 75 flashes went on."""
+    board.plug_in()
+    arm(board, ratio=0, period=400_000, delay=50_000, width=20_000, host_timeout=5000)
+    begins = board.now + MS
+    for number in range(100):
+        board.pulse(begins + number * 400_000, low=3_000)
+    board.run(begins + 5 * MS + phase * 1033)
+    board.usb_do("abandon", setup=setup(0x21, 0x22, 3).hex())
+    board.run(board.now + 2 * MS)
+    board.usb_controls.clear()
+    board.usb_do("controls", setups=[setup(0x21, 0x22, 0).hex(), LINE_CODING.hex()])
+    board.run(board.now + 3 * MS)
+    assert [one["status"] for one in board.usb_controls] == ["ok", "ok"]
+    board.transitions.clear()
+    board.run(board.now + 300 * MS)
+    assert board.rises(PIN_LED) == []
+
+
 # ---- data ----
 
 

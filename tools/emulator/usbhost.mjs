@@ -15,6 +15,7 @@ const RESUMING = 40 * MS; // the signal that ends it, with no frames yet
 const FRAME = 100_030; // a millisecond by the host's own clock, 300 ppm slow: its frames drift through the device's rounds
 const FRAME_BEGINS = 3 * US, FRAME_ENDS = 10 * US; // the packet that starts it; no transaction reaches into the end
 const LATE = 0.8; // of a frame: what is handed over for bulk in from here on is fatal with some hosts, erratum E15
+const TOKEN = 3 * US; // 35 bits
 const PATIENCE = 500 * MS;    // with a control transfer
 const URB = 128;              // what cdc-acm asks for at a time: two packets, or up to a short one
 const SETUP_OUT = (type, request, value, index, length) => [type, request, value & 255, value >> 8, index & 255, index >> 8, length & 255, length >> 8];
@@ -137,6 +138,7 @@ export class UsbHost {
     const until = this.now + patience;
     for (let naks = 0; ; naks++) {
       yield* this.room(12 + (data?.length ?? 64));
+      if (endpoint <= 1) yield { wait: TOKEN }; // before it is heard the device decides nothing
       const result = yield this.transact(endpoint, data, toggle);
       if (result.answer !== 'nak') return result;
       if (this.now > until) return { answer: 'nak for too long' };
@@ -289,6 +291,8 @@ export class UsbHost {
       case 'close': this.wantOpen = false; if (this.isOpen) task(this.close()); break;
       case 'write': for (const byte of Buffer.from(what.hex, 'hex')) this.outgoing.push(byte); break;
       case 'control': task(this.asked(what)); break;
+      case 'controls': task(this.askedInTurn(what)); break;
+      case 'abandon': task(this.abandoned(what)); break;
       default: fault(`USB: no such thing to do: ${what.do}`);
     }
   }
@@ -297,6 +301,17 @@ export class UsbHost {
     const setup = [...Buffer.from(what.setup, 'hex')];
     const { status, data } = yield* this.transfer(setup, [...Buffer.from(what.data ?? '', 'hex')]);
     this.controls.push({ setup: what.setup, status, data: Buffer.from(data).toString('hex') });
+  }
+
+  // One right after the other.
+  *askedInTurn({ setups }) { for (const setup of setups) yield* this.asked({ setup }); }
+
+  // The setup stage only; then the host loses interest, as macOS does whenever it closes a port.
+  *abandoned({ setup }) {
+    yield* this.room(16);
+    yield this.sendSetup([...Buffer.from(setup, 'hex')]);
+    yield { wait: 1000 * US };
+    this.controls.push({ setup, status: 'abandoned', data: '' });
   }
 
   read() { return Buffer.from(this.received.splice(0)); }
