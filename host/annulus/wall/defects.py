@@ -274,10 +274,11 @@ def _measured(
     footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
     form = max(depth - _over_footprint(one, cells, footprint), 0.0)
     k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
-    agreed = math.inf if fitted or one is indication else _agreed(indication, wall, limits.observations)
+    agreed, own = (math.inf, 0.0) if fitted or one is indication else _agreed(indication, wall, limits.observations)
     why = FEW if agreed < depth_limit_mm(wall, scale) else ""
     if depth > agreed and not why:
-        depth, edge_only = agreed, True  # a lower limit, which what one look says does not make less sure
+        depth, edge_only = agreed, True  # a lower limit, which what one look says does not make less sure, nor surer
+        k2 = max(k2, 2.0 * own)
     position = _extent(whole, sound, wall)
     area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
     own_shadow = depth * ratios[1] + scale.mm(limits.size_of_radius)
@@ -370,13 +371,13 @@ def _borders(deepest: BoolArray, unknown: BoolArray) -> float:
     return float(near[deepest].mean()) if deepest.any() else 0.0
 
 
-def _agreed(place: Indication, wall: Wall, observations: int) -> float:
-    """mm, the depth of a place that so many looks reach, each by most of its deepest points; what but one of them says
-    is deeper may be that one's error."""
+def _agreed(place: Indication, wall: Wall, observations: int) -> tuple[float, float]:
+    """mm, the depth of a place that so many looks reach, each by most of its deepest points, and what the last of them
+    may be off (k = 1; 0 where nobody says); what but one of them says is deeper may be that one's error."""
     seen = wall.observations
     here = np.flatnonzero(place.mask.ravel()[seen.cell])
     if not len(here):
-        return math.inf
+        return math.inf, 0.0
     departure = seen.radius_mm[here] - wall.shape_radius_mm().ravel()[seen.cell[here]]
     _, own = np.unique(seen.number[here], return_inverse=True)
     height = departure if place.kind is Kind.LOSS else -departure
@@ -384,8 +385,13 @@ def _agreed(place: Indication, wall: Wall, observations: int) -> float:
     ends = np.cumsum(np.bincount(own))
     counts = np.bincount(own)
     deepest = height[order][ends - 1 - np.round(AGREED_OF * (counts - 1)).astype(np.intp)]
-    deepest = np.sort(deepest[counts >= OBSERVATION_POINTS])
-    return float(deepest[-observations]) if len(deepest) >= observations else math.inf
+    enough = np.flatnonzero(counts >= OBSERVATION_POINTS)
+    if len(enough) < observations:
+        return math.inf, 0.0
+    last = enough[np.argsort(deepest[enough])[-observations]]
+    stated = seen.sigma_mm[here[own == last]]
+    stated = stated[np.isfinite(stated)]
+    return float(deepest[last]), float(np.median(stated)) if len(stated) else 0.0
 
 
 def _is_groove(one: Defect, scale: Scale) -> bool:

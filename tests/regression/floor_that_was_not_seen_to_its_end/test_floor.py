@@ -83,8 +83,13 @@ def test_what_one_look_alone_says_is_deeper_is_no_depth() -> None:
     one = seen.number == np.bincount(seen.number[here]).argmax()
     wrong = replace(seen, radius_mm=seen.radius_mm + np.float32(3.0) * (here & one))
     place = Indication(Kind.LOSS, mask & wall.seen, wall.residual_mm(), wall.cell_noise_mm, wall.cell_noise_mm)
-    pipe = replace(wall, observations=wrong)
-    assert _agreed(place, pipe, 1) > 4.5 and abs(_agreed(place, pipe, 2) - 2.0) < 0.3
+    sigma = np.full(len(seen.number), 0.02, np.float32)  # the wrong one is as sure of itself as the surest
+    others, which = np.unique(seen.number[here & ~one], return_inverse=True)
+    sigma[here & ~one] = 0.1 + 0.01 * which[: np.count_nonzero(here & ~one)]
+    pipe = replace(wall, observations=replace(wrong, sigma_mm=sigma))
+    (alone, its), (depth, own) = _agreed(place, pipe, 1), _agreed(place, pipe, 2)
+    assert alone > 4.5 and its == pytest.approx(0.02) and len(others) > 2
+    assert abs(depth - 2.0) < 0.3 and own >= 0.1, "no surer than the look that reaches it"
 
 
 def test_what_the_last_rows_alone_show_is_no_loss() -> None:
