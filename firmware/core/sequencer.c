@@ -112,10 +112,12 @@ static bool is_regular(const sequencer_t* const self, const uint32_t interval)
 static void report_edge(sequencer_t* const self, const board_edge_t* const edge, events_t* const events)
 {
     const bool late = edge->tag == 0U;
+    // One that came before the lamps were armed, and is heard of only now, is none of the cycle that begins.
+    const bool is_of_cycle = self->armed && !(self->just_armed && !tick_is_past(edge->tick, self->armed_at));
     const plan_t dark = {.slot = self->slot,
                          .lamp = LAMP_DARK,
                          .generation = self->config.generation,
-                         .armed = self->armed,
+                         .armed = is_of_cycle,
                          .preamble = self->preamble.running};
     const plan_t* const plan = late ? &dark : &self->plans[edge->tag - 1U];
     const bool configured = self->config.generation != 0U;
@@ -150,7 +152,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     if (plan->preamble) {
         preamble_step(&self->preamble);
     }
-    if (self->armed && plan->armed) {  // a late edge uses up its slot as well: the cycle keeps step with the frames
+    if (is_of_cycle && plan->armed) {  // a late edge uses up its slot as well: the cycle keeps step with the frames
         next_slot(self, plan->slot);
     }
     self->period = self->has_last ? interval : 0U;
@@ -189,6 +191,7 @@ void sequencer_edges(sequencer_t* const self, events_t* const events, const uint
         report_edge(self, &edge, events);
         self->reload = true;
     }
+    self->just_armed = false;
     check_sync(self, events, now);
 }
 
@@ -316,6 +319,8 @@ void sequencer_preamble(sequencer_t* const self, const command_preamble_t* const
 void sequencer_arm(sequencer_t* const self)
 {
     self->armed = true;
+    self->just_armed = true;
+    self->armed_at = board_tick();
     begin(self, true);
 }
 

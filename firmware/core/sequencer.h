@@ -30,12 +30,14 @@ typedef struct {
     bool is_staged;
     bool is_committed;  // staged waits for slot 0
     bool armed;
-    bool reload;   // what the board holds is taken or out of date
-    uint8_t slot;  // of the next edge, in the lamp cycle or in a preamble; 0 while not armed
-    uint8_t tag;   // of the last load
+    bool just_armed;  // since the edges were last asked for
+    bool reload;      // what the board holds is taken or out of date
+    uint8_t slot;     // of the next edge, in the lamp cycle or in a preamble; 0 while not armed
+    uint8_t tag;      // of the last load
     bool has_last;
     bool synced;
     uint16_t late;
+    uint32_t armed_at;  // tick, meaningful with just_armed
     uint32_t edges;
     uint32_t last_tick;  // of the last accepted edge, meaningful with has_last
     uint32_t period;     // last interval

@@ -373,6 +373,42 @@ static void the_fastest_frame_rate_keeps_every_event(void)
     EXPECT_EQ(rig_status().late, 0);
 }
 
+// Disarmed over one line and armed over the other, as nearly at once as can be, about an edge: which is of the cycle
+// before, or the first of the new one, and the new one begins at slot 0.
+static void a_cycle_begins_at_slot_0_whatever_edge_came_as_it_was_armed(void)
+{
+    const uint8_t nothing = 0;
+    const uint8_t lamps = ARM_LAMPS;
+    for (uint64_t phase = 0; phase < 12U * US; phase += 11U) {  // of the round that carries out both
+        rig_start();
+        native_usb_connect(true);
+        rig_over_usb(true);
+        rig_identify();
+        const command_stage_t config = rig_config(1, 4);
+        rig_configure(&config);
+        rig_arm(ARM_LAMPS);
+        for (size_t i = 0; i < 3U; i++) {
+            rig_edge(PERIOD);
+        }
+        rig_forget();
+        const uint64_t round = native_tick() + 200U * US;
+        native_stall_cpu(200U * US);
+        native_input(round + phase, PIN_SYNC, 0);
+        native_input(round + phase + 10U * US, PIN_SYNC, 1);
+        rig_over_usb(false);
+        rig_send(COMMAND_ARM, 0x81, &nothing);
+        rig_over_usb(true);
+        rig_send(COMMAND_ARM, 0x82, &lamps);
+        rig_pass(PERIOD);
+        const event_edge_t at = rig_take_edge();
+        const bool is_first = (at.slot == 0U) && ((at.flags & EDGE_DISARMED) == 0U);
+        for (uint8_t i = is_first ? 1U : 0U; i < 3U; i++) {
+            rig_edge(PERIOD);
+            EXPECT_EQ(rig_take_edge().slot, i);
+        }
+    }
+}
+
 // The longest flash that a period of 40 ms allows, as late in it, or as early, as can be.
 static command_stage_t longest(const uint8_t generation, const bool late)
 {
@@ -463,6 +499,7 @@ void sequencer_tests(void)
     RUN(every_edge_carries_the_odometer_at_that_edge);
     RUN(ticks_wrap_after_43_seconds_without_notice);
     RUN(the_fastest_frame_rate_keeps_every_event);
+    RUN(a_cycle_begins_at_slot_0_whatever_edge_came_as_it_was_armed);
     RUN(flashes_of_two_configurations_never_join);
     RUN(a_reset_forgets_no_dark_time_that_a_lamp_owes);
 }

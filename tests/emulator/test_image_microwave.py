@@ -227,7 +227,7 @@ def test_an_open_interlock_cuts_within_one_chip_until_cleared(board: EmulatedBoa
     assert {fault.fault for fault in board.heard(Fault)} == {FaultCode.INTERLOCK}
 
 
-@pytest.mark.parametrize("times", [60, pytest.param(2_000, marks=pytest.mark.deep)])
+@pytest.mark.parametrize("times", [120, pytest.param(2_000, marks=pytest.mark.deep)])
 def test_nothing_rises_behind_an_open_interlock_while_the_core_asks(board: EmulatedBoard, times: int) -> None:
     """What the core forces upon GUARD takes a cycle in which it drives nothing: in 4 of 700 openings the next chip or
     trigger rose in it, for 10 ns."""
