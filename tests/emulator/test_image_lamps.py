@@ -97,11 +97,11 @@ def test_a_hold_off_that_holds_nothing_off_gets_no_lamp_over_its_duty(image: Pat
     for i in range(200):
         board.pulse(board.now + (i + 1) * MS, low=1_000)
     board.run_alive(board.now + 210 * MS)
-    assert limit_faults(board) == [Lamp.LED]
+    assert limit_faults(board) == []  # what it owes leaves an edge dark, and disarms nobody
     rises, falls = board.rises(PIN_LED), board.falls(PIN_LED)
-    assert len(rises) == 2
+    assert len(rises) >= 8
     for begin in rises:
-        for end in falls:
+        for end in (fall for fall in falls if fall > begin):
             on = sum(max(0, min(fall, end) - max(rise, begin)) for rise, fall in zip(rises, falls, strict=True))
             assert on <= (end - begin) // 2 + width
     board.close()

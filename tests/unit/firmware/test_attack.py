@@ -14,7 +14,11 @@ from tools.attack.__main__ import attack
 ROOT = Path(__file__).resolve().parents[3]
 MUTANTS = {
     "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
-    "a forgotten interlock": ("core/safety.c", "    if (tripped) {", "    if (tripped && (self->armed == 0U)) {"),
+    "a forgotten interlock": (
+        "core/safety.c",
+        "if (tripped && (live || self->turntable.held)) {",
+        "    if (tripped && (self->armed == 0U)) {",
+    ),
     "an edge from the future": (
         "core/sequencer.c",
         "(ticks_since(now, self->last_tick) <= (int32_t)",
@@ -30,8 +34,8 @@ MUTANTS = {
     ),
     "a turntable that no silence ends": (
         "core/safety.c",
-        "(self->armed == 0U) && !self->turntable.moving",
-        "self->armed == 0U",
+        "live = (self->armed != 0U) || self->turntable.moving",
+        "live = self->armed != 0U",
     ),
     "a turntable past its switch": (
         "core/turntable.c",
