@@ -18,6 +18,7 @@ void queries_tests(void);
 void configuration_tests(void);
 void ranges_tests(void);
 void sequencer_tests(void);
+void lamps_tests(void);
 void preamble_tests(void);
 void safety_tests(void);
 void bursts_tests(void);

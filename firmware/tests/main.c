@@ -42,6 +42,7 @@ int main(void)
     configuration_tests();
     ranges_tests();
     sequencer_tests();
+    lamps_tests();
     preamble_tests();
     safety_tests();
     bursts_tests();
