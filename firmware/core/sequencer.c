@@ -118,7 +118,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
                          .lamp = LAMP_DARK,
                          .generation = self->config.generation,
                          .armed = is_of_cycle,
-                         .preamble = self->preamble.running};
+                         .preamble = is_of_cycle && self->preamble.running};
     const plan_t* const plan = late ? &dark : &self->plans[edge->tag - 1U];
     const bool configured = self->config.generation != 0U;
     const uint32_t interval = edge->tick - self->last_tick;
