@@ -103,6 +103,9 @@ static void refuse(void)
 
 static void hand_over_control(const uint32_t endpoint, const uint32_t bits)
 {
+    if ((REGISTER(USB_SIE_STATUS) & SIE_SETUP) != 0U) {
+        return;  // not for a moment either: the next request's data may be asked for in it
+    }
     usb_hand_over(endpoint, bits);
     void_if_over();
 }

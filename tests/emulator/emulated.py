@@ -220,7 +220,7 @@ class EmulatedBoard:
 
     def usb_do(self, what: str, **more: str | list[str]) -> None:
         """attach, detach, reset, suspend, resume, hang, open, close, write (hex), control (setup, data), controls
-        (setups, one right after the other), abandon (setup: and nothing after it)."""
+        (setups, one right after the other), abandon (setup: and nothing after it; or then, wait ticks later)."""
         self._do(op="usb", do=what, **more)
 
     def plug_in(self, within: int = 400 * MS) -> None:

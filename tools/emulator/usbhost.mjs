@@ -307,10 +307,12 @@ export class UsbHost {
   *askedInTurn({ setups }) { for (const setup of setups) yield* this.asked({ setup }); }
 
   // The setup stage only; then the host loses interest, as macOS does whenever it closes a port.
-  *abandoned({ setup }) {
+  // `then`: what it asks next, `wait` ticks later.
+  *abandoned({ setup, wait, then }) {
     yield* this.room(16);
     yield this.sendSetup([...Buffer.from(setup, 'hex')]);
-    yield { wait: 1000 * US };
+    yield { wait: wait ? Number(wait) : 1000 * US };
+    if (then) { yield* this.asked({ setup: then }); return; }
     this.controls.push({ setup, status: 'abandoned', data: '' });
   }
 
