@@ -52,8 +52,6 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
     48  // from the tick read before the first words are written until they are; and what DMA may be late
 #define LEAD_TICKS 200U                         // from the start to the first thing that may happen
 #define START_OFFSET 24U                        // from the tick read before the machines start to their first level
-#define ORDER_OFFSET 24U                        // from the tick read before GUARD is told to cut until all is low
-#define ORDER_TICKS 6                           // GUARD's own count is of two ticks, and may be off by so many
 #define CREDIT 100000U                          // what GUARD counts down, once in two ticks
 #define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
 #define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
@@ -64,8 +62,6 @@ static volatile uint32_t trigger_list[LIST_MIN] __attribute__((aligned(4U * LIST
 static struct {
     bool enabled;
     bool starved;      // cut because no credit came
-    bool ordered;      // the core has GUARD cut
-    uint32_t order;    // from which tick on
     uint32_t guarded;  // tick at which GUARD took its first credit
     uint32_t credits;  // laid out since, the first one not counted
     bool running;
@@ -128,7 +124,8 @@ static void start_guard(void)
     execute(GUARD_MACHINE, MOV_X_OSR);
     train.credits = 0;
     lay_out_credit();
-    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH)) + START_OFFSET;
+    // One tick more: forced upon a machine that runs, it is carried out in the cycle after.
+    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH)) + START_OFFSET + 1U;
 }
 
 // When GUARD cut, by its own count, and why.
@@ -140,9 +137,6 @@ static uint32_t cut_tick(bool* const starved)
     const uint32_t taken = train.credits - credits_waiting();
     *starved = left == CREDIT_GONE;
     const uint32_t tick = train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
-    if (train.ordered && (ticks_since(tick, train.order) > -ORDER_TICKS)) {
-        return train.order;
-    }
     const uint32_t now = board_tick();  // cut while it changed from one credit to the next, its count is of neither
     return tick_is_past(tick, now) ? now : tick;
 }
@@ -254,12 +248,15 @@ void board_microwave(const bool enabled)
     const bool was_cut = is_guard_cutting();
     if (!on && was_cut) {
         halt_players();
-    } else if (!on) {  // before the train is followed; an interlock that opened in between was first by GUARD's count
-        train.order = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_CUT)) + ORDER_OFFSET;
+    } else if (!on) {
+        // Before the train is followed: GUARD counts when it cuts. Nothing is forced upon one that may be cutting: the
+        // word that it comes by every second tick, or after ten, sends it there.
+        REGISTER(PIO_MEMORY(PIO1, GUARD_WATCH)) = JMP(GUARD_CUT);
+        while (!is_guard_cutting()) {
+        }
+        REGISTER(PIO_MEMORY(PIO1, GUARD_WATCH)) = program[GUARD_WATCH];
     }
-    train.ordered = !on && !was_cut;
     follow_train();
-    train.ordered = false;
     train.starved = train.starved && was_cut;
     train.enabled = on;
     if (on) {
