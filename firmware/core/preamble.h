@@ -22,7 +22,7 @@ void preamble_seed(preamble_t* self, uint32_t nonce);
 // What is due, LAMP_*. With ratio 0 the projector's flash was never checked, so that it takes no part.
 uint8_t preamble_lamp(const preamble_t* self, uint8_t ratio);
 
-// A lamp cycle is over. Is the next one due?
+// A lamp cycle is over. Is a preamble due?
 bool preamble_cycle(preamble_t* self);
 
 // An edge took it.

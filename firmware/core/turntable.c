@@ -111,7 +111,6 @@ uint8_t turntable_move(turntable_t* const self, const command_move_t* const comm
         return STATUS_UNSAFE;
     }
     self->moving = true;
-    self->held = false;
     self->hold = command->hold != 0U;
     self->cause = 0U;
     self->towards = towards;
@@ -157,7 +156,6 @@ void turntable_cut(turntable_t* const self)
         mark_lost(self);
     }
     self->hold = false;
-    self->held = false;
     board_turntable_cut();
 }
 
@@ -192,7 +190,6 @@ void turntable_run(turntable_t* const self, events_t* const events, const uint32
         }
     } else if (self->moving) {
         self->moving = false;
-        self->held = self->hold;
         const int32_t position = board_turntable_position();
         if (self->cause != 0U) {
             event_turntable_stopped_pack(

@@ -12,8 +12,7 @@
 typedef struct {
     command_turntable_t config;
     bool moving;      // TURNTABLE_DONE is due
-    bool hold;        // powered afterwards, as this move or the last one asked
-    bool held;        // stands, and is powered
+    bool hold;        // powered after this move, or since the last one
     bool lost;        // ended at once from above the start speed since it was last configured
     uint8_t cause;    // STOP_CAUSE_* of this move, or 0: it arrives by itself
     uint8_t towards;  // TURNTABLE_END_*: the switch that this move may meet

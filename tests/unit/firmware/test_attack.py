@@ -16,7 +16,7 @@ MUTANTS = {
     "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
     "a forgotten interlock": (
         "core/safety.c",
-        "if (tripped && (live || self->turntable.held)) {",
+        "if (tripped && (live || self->turntable.hold)) {",
         "    if (tripped && (self->armed == 0U)) {",
     ),
     "an edge from the future": (
