@@ -375,19 +375,22 @@ static void the_fastest_frame_rate_keeps_every_event(void)
 
 // Disarmed over one line and armed over the other, as nearly at once as can be, about an edge: which is of the cycle
 // before, or the first of the new one, and the new one begins at slot 0.
-static void a_cycle_begins_at_slot_0_whatever_edge_came_as_it_was_armed(void)
+static void begins_at_slot_0(const uint8_t preamble)
 {
+    uint8_t payload[COMMAND_PREAMBLE_LENGTH];
+    command_preamble_pack(&(command_preamble_t){.length = preamble}, payload);
     const uint8_t nothing = 0;
     const uint8_t lamps = ARM_LAMPS;
-    for (uint64_t phase = 0; phase < 12U * US; phase += 11U) {  // of the round that carries out both
+    for (uint64_t phase = 0; phase < 24U * US; phase += 7U) {  // of the round that carries out both
         rig_start();
         native_usb_connect(true);
         rig_over_usb(true);
         rig_identify();
         const command_stage_t config = rig_config(1, 4);
         rig_configure(&config);
+        EXPECT_EQ(rig_status_of(COMMAND_PREAMBLE, payload), STATUS_OK);
         rig_arm(ARM_LAMPS);
-        for (size_t i = 0; i < 3U; i++) {
+        for (size_t i = 0; i < preamble + 3U; i++) {
             rig_edge(PERIOD);
         }
         rig_forget();
@@ -401,12 +404,20 @@ static void a_cycle_begins_at_slot_0_whatever_edge_came_as_it_was_armed(void)
         rig_send(COMMAND_ARM, 0x82, &lamps);
         rig_pass(PERIOD);
         const event_edge_t at = rig_take_edge();
-        const bool is_first = (at.slot == 0U) && ((at.flags & EDGE_DISARMED) == 0U);
+        const bool is_disarmed = (at.flags & EDGE_DISARMED) != 0U;
+        const bool is_first = (at.slot == 0U) && !is_disarmed;
+        EXPECT(!is_disarmed || ((at.flags & EDGE_PREAMBLE) == 0U));
         for (uint8_t i = is_first ? 1U : 0U; i < 3U; i++) {
             rig_edge(PERIOD);
             EXPECT_EQ(rig_take_edge().slot, i);
         }
     }
+}
+
+static void a_cycle_begins_at_slot_0_whatever_edge_came_as_it_was_armed(void)
+{
+    begins_at_slot_0(0);
+    begins_at_slot_0(5);
 }
 
 void sequencer_tests(void)

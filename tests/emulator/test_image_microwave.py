@@ -227,6 +227,13 @@ def test_an_open_interlock_cuts_within_one_chip_until_cleared(board: EmulatedBoa
     assert {fault.fault for fault in board.heard(Fault)} == {FaultCode.INTERLOCK}
 
 
+def start_shortest(board: EmulatedBoard) -> None:
+    """A train whose pulses and triggers follow each other as closely as can be."""
+    assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+    burst = Burst(code=BurstCode.SINGLE, chip=30, repeat=60_000, period=600, trigger_offset=200)
+    assert board.request(burst).status == StatusCode.OK
+
+
 @pytest.mark.parametrize("times", [120, pytest.param(2_000, marks=pytest.mark.deep)])
 def test_nothing_rises_behind_an_open_interlock_while_the_core_asks(board: EmulatedBoard, times: int) -> None:
     """What the core forces upon GUARD takes a cycle in which it drives nothing: in 4 of 700 openings the next chip or
@@ -234,9 +241,7 @@ def test_nothing_rises_behind_an_open_interlock_while_the_core_asks(board: Emula
     arm(board)
     rng = random.Random(7)
     for number in range(times):
-        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
-        burst = Burst(code=BurstCode.SINGLE, chip=30, repeat=60_000, period=600, trigger_offset=200)
-        assert board.request(burst).status == StatusCode.OK
+        start_shortest(board)
         board.transitions.clear()
         opens = board.now + rng.randrange(20_000, 40_000)
         board.input((opens, PIN_INTERLOCK, 1), (opens + 60_000, PIN_INTERLOCK, 0))
@@ -257,9 +262,7 @@ def test_nothing_rises_behind_an_interlock_that_opens_as_the_core_disarms(board:
     rng = random.Random(3)
     both = (PIN_MICROWAVE, PIN_TRIGGER)
     for number in range(1200):
-        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
-        burst = Burst(code=BurstCode.SINGLE, chip=30, repeat=60_000, period=600, trigger_offset=200)
-        assert board.request(burst).status == StatusCode.OK
+        start_shortest(board)
         board.run(board.now + rng.randrange(1000))
         board.send(Arm(outputs=ArmFlag(0)))
         board.run_to("board_microwave")

@@ -74,22 +74,26 @@ def moved(one: Profile, which: np.ndarray, by_mm: float) -> Profile:
     return replace(one, points_mm=np.stack([x * scale, y * scale, z], axis=1).astype(np.float32))
 
 
-def test_what_one_look_alone_says_is_deeper_is_no_depth() -> None:
+def test_what_one_look_alone_says_is_deeper_is_no_depth(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a pocket of 2 mm one ring of one frame read 3 mm more: 7.7 mm were listed of 4.1."""
     wall = build_wall(scanned(pocket(round_pipe, 60, 6, 172, 182, 2.0)))
     mask = (wall.z_mm > 172)[:, None] & (wall.z_mm < 182)[:, None] & (np.abs(wall.clock_deg - 60.0) < 6)[None, :]
     seen = wall.observations
     here = (mask & (wall.residual_mm() > 1.5)).ravel()[seen.cell]
-    one = seen.number == np.bincount(seen.number[here]).argmax()
-    wrong = replace(seen, radius_mm=seen.radius_mm + np.float32(3.0) * (here & one))
+    wild = seen.number == np.bincount(seen.number[here]).argmax()
+    wrong = replace(seen, radius_mm=seen.radius_mm + np.float32(3.0) * (here & wild))
     place = Indication(Kind.LOSS, mask & wall.seen, wall.residual_mm(), wall.cell_noise_mm, wall.cell_noise_mm)
     sigma = np.full(len(seen.number), 0.02, np.float32)  # the wrong one is as sure of itself as the surest
-    others, which = np.unique(seen.number[here & ~one], return_inverse=True)
-    sigma[here & ~one] = 0.1 + 0.01 * which[: np.count_nonzero(here & ~one)]
+    others, which = np.unique(seen.number[here & ~wild], return_inverse=True)
+    sigma[here & ~wild] = 0.1 + 0.01 * which[: np.count_nonzero(here & ~wild)]
     pipe = replace(wall, observations=replace(wrong, sigma_mm=sigma))
     (alone, its), (depth, own) = _agreed(place, pipe, 1), _agreed(place, pipe, 2)
     assert alone > 4.5 and its == pytest.approx(0.02) and len(others) > 2
     assert abs(depth - 2.0) < 0.3 and own >= 0.1, "no surer than the look that reaches it"
+    for known in (0.12, 0.9):  # of the look that reaches it
+        monkeypatch.setattr("annulus.wall.defects._agreed", lambda *_, mm=known: (2.0, mm))
+        (one,) = find_defects(pipe, shadow_ratio=SHADOW_RATIO).undecided
+        assert one.depth_mm == 2.0 and 2 * known <= one.depth_k2_mm < 2.0
 
 
 def test_what_the_last_rows_alone_show_is_no_loss() -> None:

@@ -1,0 +1,24 @@
+"""The main loop sleeps between two rounds, and wakes."""
+
+from emulated import MS, EmulatedBoard, configuration
+
+from annulus.controller import PIN_SYNC
+from annulus.link.messages import Arm, ArmFlag, Commit, Fault, Ping, StatusCode
+
+STORM = 13_000  # ticks: longer than a round
+EVERY = 20  # ticks from one edge of it to the next: the processor does nothing but count them
+
+
+def test_a_storm_of_interrupts_as_it_falls_asleep_does_not_outlast_its_alarm(board: EmulatedBoard) -> None:
+    """With the alarm gone by before the loop slept, nothing woke it for 80 ms: the microwave starved."""
+    board.identify()
+    for command in (configuration(host_timeout=5000), Commit(generation=1), Arm(outputs=ArmFlag.MICROWAVE)):
+        assert board.request(command).status == StatusCode.OK
+    for after in range(0, 60, 2):
+        board.run_to("time_sleep")
+        begins = board.now + after
+        edges = [(begins + i * EVERY, PIN_SYNC, i % 2) for i in range(STORM // EVERY)]
+        board.input(*edges, (begins + STORM + EVERY, PIN_SYNC, 1))
+        board.run(begins + STORM + 6 * MS)
+        assert board.heard(Fault) == [], f"{after} ticks after the sleep was begun"
+        board.request(Ping())
