@@ -315,6 +315,7 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_UPDATE_BEGIN] = update_begins,
     [COMMAND_UPDATE_DATA] = update_data,
     [COMMAND_UPDATE_END] = update_end,
+    [COMMAND_IMAGE] = query_image,
 };
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,

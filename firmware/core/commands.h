@@ -23,6 +23,7 @@ void query_configuration(controller_t* self, uint8_t line, const uint8_t* payloa
 void query_crash(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_health(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_reread(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_image(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_samples(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 
 #endif

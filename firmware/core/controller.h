@@ -25,12 +25,15 @@ typedef struct {
     bool schema_ok;         // and speaks our schema
     uint8_t level[LINES];   // at which a line's host is spoken to
     rereads_t rereads[LINES];
+    command_t held[LINES];  // an update's, while the flash is at work
+    bool holds[LINES];
     events_t events;
     sequencer_t sequencer;
     bursts_t bursts;
     update_t update;
-    uint8_t armed;  // ARM_*
-    uint8_t fault;  // latched, FAULT_*
+    bool flash_busy;  // in this round
+    uint8_t armed;    // ARM_*
+    uint8_t fault;    // latched, FAULT_*
     turntable_t turntable;
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t leaving_since;

@@ -641,7 +641,7 @@ uint8_t command_update_begin_range(const command_update_begin_t* const self)
     if (self->size < 256U) {
         return 0U;
     }
-    if (self->size > 28672U) {
+    if (self->size > 65536U) {
         return 0U;
     }
     return RANGE_OK;
@@ -699,6 +699,28 @@ void reply_update_end_unpack(reply_update_end_t* const self, const uint8_t* cons
     self->status = get8(payload + 0);
     self->detail = get8(payload + 1);
     self->next = get32(payload + 2);
+}
+
+void reply_image_pack(const reply_image_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->slot);
+    put8(payload + 3, self->starts);
+    put8(payload + 4, self->why);
+    put8(payload + 5, self->flash);
+    put32(payload + 6, self->crc);
+}
+
+void reply_image_unpack(reply_image_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->slot = get8(payload + 2);
+    self->starts = get8(payload + 3);
+    self->why = get8(payload + 4);
+    self->flash = get8(payload + 5);
+    self->crc = get32(payload + 6);
 }
 
 void command_measure_pack(const command_measure_t* const self, uint8_t* const payload)
@@ -1074,12 +1096,14 @@ static const layout_t layouts[] = {
     {0x4F, 38, 0xEF, 0, 2},  // reply configuration
     {0x10, 0, 0x54, 1, 2},  // command crash
     {0x50, 35, 0x20, 0, 2},  // reply crash
-    {0x14, 16, 0xB4, 0, 2},  // command update_begin
+    {0x14, 16, 0xC9, 0, 2},  // command update_begin
     {0x54, 6, 0x62, 0, 2},  // reply update_begin
     {0x15, 36, 0xEA, 0, 2},  // command update_data
     {0x55, 6, 0xA6, 0, 2},  // reply update_data
     {0x16, 0, 0x0F, 0, 2},  // command update_end
     {0x56, 6, 0xD6, 0, 2},  // reply update_end
+    {0x1F, 0, 0x58, 1, 3},  // command image
+    {0x5F, 10, 0x4F, 0, 3},  // reply image
     {0x17, 9, 0x07, 0, 2},  // command measure
     {0x57, 2, 0xCC, 0, 2},  // reply measure
     {0x18, 2, 0x93, 1, 2},  // command samples
@@ -1130,4 +1154,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x03, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x83, 0x00, 0x00, 0x00, 0x00};

@@ -8,7 +8,7 @@
 #define SCHEMA_HASH 0xD49BD1EBU
 #define PROTOCOL_VERSION 1U  // of the framing and of what is frozen
 #define MAX_WIRE 64U  // bytes of a frame, COBS code bytes and the 0x00 delimiter included
-#define LEVEL 2U  // of what was added; a side that never says its level is of level 1
+#define LEVEL 3U  // of what was added; a side that never says its level is of level 1
 #define EVENT_RING 64U  // events that can be read again
 #define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
 #define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
@@ -19,7 +19,7 @@
 #define TRIGGER_TICKS 100U  // length of the digitizer trigger
 #define HOST_TIMEOUT_DEFAULT_MS 500U  // of a configuration that says 0
 #define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
-#define UPDATE_MAX_BYTES 28672U  // largest application: the 32 KiB of the whole image without its loader
+#define UPDATE_MAX_BYTES 65536U  // largest application: a slot of flash
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
 #define PREAMBLE_MAX 63U  // edges of a preamble
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
@@ -102,6 +102,7 @@ enum {
     CRASH_NONE = 0,
     CRASH_HARD_FAULT = 1,
     CRASH_STUCK = 2,
+    CRASH_DAMAGED = 3,
 };
 
 enum {
@@ -122,6 +123,18 @@ enum {
     UPDATE_REFUSAL_INCOMPLETE = 1,
     UPDATE_REFUSAL_DAMAGED = 2,
     UPDATE_REFUSAL_FOREIGN = 3,
+};
+
+enum {
+    IMAGE_WHY_RECORDED = 0,
+    IMAGE_WHY_GIVEN_UP = 1,
+    IMAGE_WHY_DAMAGED = 2,
+};
+
+enum {
+    IMAGE_FLASH_UNCHECKED = 0,
+    IMAGE_FLASH_WHOLE = 1,
+    IMAGE_FLASH_DAMAGED = 2,
 };
 
 #define EDGE_LATE_LOAD 1U
@@ -193,6 +206,8 @@ enum {
     REPLY_UPDATE_DATA = 0x55,
     COMMAND_UPDATE_END = 0x16,
     REPLY_UPDATE_END = 0x56,
+    COMMAND_IMAGE = 0x1F,
+    REPLY_IMAGE = 0x5F,
     COMMAND_MEASURE = 0x17,
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
@@ -615,7 +630,7 @@ typedef struct {
 void reply_update_begin_pack(const reply_update_begin_t* self, uint8_t* payload);
 void reply_update_begin_unpack(reply_update_begin_t* self, const uint8_t* payload);
 
-// One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as long as the flash needs to erase.
+// One chunk of it. Chunks come in order; one that is there already changes nothing. It is carried out once the flash has erased and written what came before: after the first of every 4 KiB that may take 0.4 s.
 #define COMMAND_UPDATE_DATA_LENGTH 36U
 typedef struct {
     uint32_t offset;  // bytes
@@ -646,6 +661,23 @@ typedef struct {
 } reply_update_end_t;
 void reply_update_end_pack(const reply_update_end_t* self, uint8_t* payload);
 void reply_update_end_unpack(reply_update_end_t* self, const uint8_t* payload);
+
+// Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three starts without one the other application is started again.
+#define COMMAND_IMAGE_LENGTH 0U
+
+// Answer to image.
+#define REPLY_IMAGE_LENGTH 10U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t slot;  // of flash, 0 or 1
+    uint8_t starts;  // on trial: starts so far, this one included; 0: confirmed
+    uint8_t why;
+    uint8_t flash;  // its copy there, looked at again and again
+    uint32_t crc;  // of the application that runs, as in its last word
+} reply_image_t;
+void reply_image_pack(const reply_image_t* self, uint8_t* payload);
+void reply_image_unpack(reply_image_t* self, const uint8_t* payload);
 
 // The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
 #define COMMAND_MEASURE_LENGTH 9U

@@ -25,7 +25,9 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
         sequencer_preamble(&self->sequencer, &(command_preamble_t){.length = 0});
         self->session = line;
         self->schema_ok = understood;
-        if (!understood) {
+        if (understood) {
+            board_image_confirm();
+        } else {
             safety_arm(self, 0U);  // whoever speaks now could not read what happens
         }
     }
@@ -113,16 +115,31 @@ void query_configuration(controller_t* const self, const uint8_t line, const uin
     answer[3U + COMMAND_STAGE_LENGTH] = (uint8_t)(crc >> 8);
 }
 
-void query_crash(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+void query_image(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     (void)self;
     (void)line;
     (void)payload;
+    board_image_t image;
+    board_image(&image);
+    reply_image_pack(&(reply_image_t){.status = STATUS_OK,
+                                      .slot = image.slot,
+                                      .starts = image.starts,
+                                      .why = image.why,
+                                      .flash = image.flash,
+                                      .crc = image.crc},
+                     answer);
+}
+
+void query_crash(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    (void)payload;
     const board_crash_t* const last = board_crash();
+    const bool unknown = (last->kind == CRASH_DAMAGED) && (self->level[line] < 3U);
     reply_crash_pack(&(reply_crash_t){.status = STATUS_OK,
                                       .crashes = last->crashes,
                                       .boots = last->boots,
-                                      .kind = last->kind,
+                                      .kind = unknown ? CRASH_STUCK : last->kind,
                                       .boot = last->boot,
                                       .pc = last->pc,
                                       .lr = last->lr,

@@ -26,12 +26,17 @@ void outputs_off(void);
 // Until something happens, 100 us at most.
 void time_sleep(void);
 
-// Write a register, and the tick a constant few before: no interrupt and no wait for the flash comes between.
+// Write a register, and the tick a constant few before: no interrupt comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);
 
-// Around what keeps the processor from looking at the tick for so long that it may wrap; up to 40 s.
-uint32_t time_before_blindness(void);
-void time_after_blindness(uint32_t since);
+// The application itself: what the loader handed over, and, a little each round, whether it is still what was flashed.
+extern const uint8_t image_start[];
+void image_begin(uint32_t mark, uint32_t handover);
+void image_run(void);
+uint32_t image_slot(void);
+uint32_t image_record(void);  // page of the newest record, or RECORD_PAGES
+bool image_confirmed(void);   // was it on trial until now?
+bool staging_is_idle(void);   // nobody is waiting for the flash
 
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
@@ -83,6 +88,9 @@ void crash_start(uint8_t cause, uint8_t boot);
 
 // The round of the main loop is over, but for its sleep.
 void crash_measure(void);
+
+// The application's own code is no longer what it was: outputs off, and start anew.
+void crash_damaged(void);
 
 void fault_handler(void);
 void stuck_handler(void);

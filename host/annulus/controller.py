@@ -14,7 +14,7 @@ CHIPS_MAX = 256  # of a burst
 TRIGGER_TICKS = 100  # length of the digitizer trigger
 HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
-UPDATE_MAX_BYTES = 28672  # largest application: the 32 KiB of the whole image without its loader
+UPDATE_MAX_BYTES = 65536  # largest application: a slot of flash
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
 PREAMBLE_MAX = 63  # edges of a preamble
 

@@ -12,6 +12,8 @@ ENUM_NAMES = {
     "stop_cause": "StopCause",
     "burst_code": "BurstCode",
     "crash": "CrashKind",
+    "image_why": "ImageWhy",
+    "image_flash": "ImageFlash",
     "part": "RoundPart",
 }
 FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "turntable": "TurntableFlag", "arm": "ArmFlag"}

@@ -82,7 +82,7 @@ def test_a_loop_that_only_stood_still_has_no_place_and_one_that_came_back_no_rec
     assert not board.resets and crash_of(board).kind == CrashKind.NONE
     assert info_of(board).round_longest < 95 * MS
     board.stall(110 * MS)
-    board.run(board.now + 130 * MS)
+    board.run(board.now + 110 * MS + BOOTED)
     assert len(board.resets) == 1
     crash = crash_of(board)
     assert (crash.kind, crash.crashes, crash.pc) == (CrashKind.STUCK, 1, 0)
@@ -92,10 +92,10 @@ def test_a_record_outlives_resets_but_not_the_power(board: EmulatedBoard) -> Non
     board.identify()
     board.trap("query_ping", "hang")
     board.send(Ping())
-    board.run(board.now + 110 * MS)
+    board.run(board.now + 100 * MS + BOOTED)
     first = crash_of(board)
     board.request(Reset(magic=RESET_MAGIC))
-    board.run(board.now + 10 * MS)
+    board.run(board.now + BOOTED)
     again = crash_of(board)
     assert (again.kind, again.pc, again.boot) == (CrashKind.STUCK, first.pc, 1)
     assert (again.crashes, again.boots) == (1, 3)
@@ -122,7 +122,7 @@ def test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart(boa
     board.identify()
     board.trap("query_ping", "hang")
     board.send(Ping())
-    board.run(board.now + 110 * MS)
+    board.run(board.now + 100 * MS + BOOTED)
     for _ in range(2):
         before = board.identify().boot
         board.power_cycle(short=True)

@@ -3,14 +3,12 @@
 import { OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET } from './controller.mjs';
 import { fault, hex } from './fault.mjs';
 import { FLASH_BYTES } from './flash.mjs';
-import { callFlash } from './power.mjs';
 
 export const FLASH = 0x10000000;
 const ROM_TABLE = 0x7a;
 const ROM_LOOKUP = 0x1d0;
 const ROM_TO_USB_BOOT = 0x1e0;
-export const ROM_FLASH = { connect: 0x1f0, exit: 0x1f8, erase: 0x200, program: 0x208, flush: 0x210 };
-const FUNCTIONS = { UB: ROM_TO_USB_BOOT, IF: ROM_FLASH.connect, EX: ROM_FLASH.exit, RE: ROM_FLASH.erase, RP: ROM_FLASH.program, FC: ROM_FLASH.flush };
+const FUNCTIONS = { UB: ROM_TO_USB_BOOT };
 
 export function readUf2(file) {
   return writeUf2(file, new Uint8Array(FLASH_BYTES).fill(0xff));
@@ -78,5 +76,5 @@ export function callRom(machine) {
       return;
     }
   }
-  if (!callFlash(machine, (core.PC - 2) & ~1)) fault(`breakpoint at ${hex(core.PC - 2)}`);
+  fault(`breakpoint at ${hex(core.PC - 2)}`);
 }

@@ -2,7 +2,7 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040, GPIOPinState } from 'rp2040js';
-import { Cache } from './cache.mjs';
+import { Cache, MISS_TICKS } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
 import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
@@ -17,6 +17,7 @@ import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
 const RAM = 0x20000000;
+const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
@@ -28,10 +29,10 @@ const RESET_OF = new Map([
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0) {
+  constructor(uf2, flashId = 'e6616408438a1c2f') {
     this.flash = readUf2(uf2);
-    this.flashChip = new Flash(this.flash);
-    this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
+    this.flashChip = new Flash(this.flash, Buffer.from(flashId, 'hex'), (at, size) => this.chip.flash.set(this.flash.subarray(at, at + size), at));
+    this.ssi = new Ssi(this.flashChip);
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
     this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
@@ -45,7 +46,7 @@ export class Machine {
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
     this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => this.usbMHz());
     this.host = new UsbHost(this.usb);
-    this.cache = new Cache(missTicks);
+    this.cache = new Cache(MISS_TICKS);
     this.loop = new Loop();
     this.waits = 0; // of the instruction being run, for data in flash
     this.usedInstructions = 0;
@@ -79,7 +80,6 @@ export class Machine {
     this.uart.reset();
     this.ssi.reset();
     this.cache.reset();
-    this.flashChip.reset();
     this.host.now = this.now;
     this.usb.reset();
     this.padsSet = new Set();
@@ -114,7 +114,7 @@ export class Machine {
     core.registers[13] = 0x20041f00;
     core.registers[14] = 0;
     core.registers[15] = BOOT2_AT;
-    this.heldUntil = this.now + BOOT_ROM_TICKS;
+    this.heldUntil = Math.max(this.now, this.flashChip.work?.until ?? 0) + BOOT_ROM_TICKS; // it tries until the flash answers
     this.nextDue = 0;
     this.systick = new SysTick();
     this.loop.stalled();
@@ -202,7 +202,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return this.ringOscillator();
       case 0x40034: return this.uart.readUint32(offset, this.now);
-      case 0x18000: return this.ssi.readUint32(offset);
+      case 0x18000: return this.ssi.readUint32(offset, this.now);
       case 0x50110: return this.usb.readUint32(offset, this.now);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
@@ -245,7 +245,7 @@ export class Machine {
         if (offset !== 0) fault('RESETS register');
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
-      case 0x18000: return this.ssi.writeUint32(offset, value);
+      case 0x18000: return this.ssi.writeUint32(offset, value, this.now);
       case 0x50110:
         this.host.now = this.now;
         return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset, this.now)) : value, value);
@@ -272,12 +272,15 @@ export class Machine {
         if (!this.watchdog.tickEnable) fault('the timer stands still: nobody started the watchdog tick');
         break;
       case 0x40010: this.wdsel = value; break;
-      case 0x40058: if (offset === 4) this.loop.kicked(this.now); if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
+      case 0x40058: if (offset === 4) this.isApplication() ? this.loop.kicked(this.now) : this.loop.stalled(); if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
         fault('a watchdog reset would not reset everything but the oscillators: PSM_WDSEL');
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
   }
+
+  // Or the loader, which runs from flash and from the last of the RAM.
+  isApplication() { return this.chip.core.registers[15] >>> 0 >= RAM && this.chip.core.registers[15] >>> 0 < LOADER_RAM; }
 
   setResets(value) {
     const fell = value & ~this.inReset;
@@ -426,7 +429,11 @@ export class Machine {
         this.waits = 0;
         if (core.PC === this.stoppedAt + 2) this.stoppedAt = undefined; // an interrupt may have come first
         this.usedInstructions++;
-        if (this.now + cycles < this.nextDue) this.now += cycles;
+        if (core.PC === pc && !core.interruptsUpdated && !this.trap) { // a branch to itself: so on until something else happens
+          const next = Math.min(this.alarmTick, until, uart.next, host.next, this.inputs.length ? this.inputs[0][0] : Infinity);
+          this.advance(Math.max(next, this.now + cycles));
+          this.findDue();
+        } else if (this.now + cycles < this.nextDue) this.now += cycles;
         else {
           this.advance(this.now + cycles);
           this.findDue();

@@ -16,7 +16,7 @@ SCHEMA_HASH = 0xD49BD1EB
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
-LEVEL = 2
+LEVEL = 3
 EVENT_RING = 64
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
@@ -73,6 +73,7 @@ class CrashKind(IntEnum):
     NONE = 0
     HARD_FAULT = 1
     STUCK = 2
+    DAMAGED = 3
 
 
 class RoundPart(IntEnum):
@@ -93,6 +94,18 @@ class UpdateRefusal(IntEnum):
     INCOMPLETE = 1
     DAMAGED = 2
     FOREIGN = 3
+
+
+class ImageWhy(IntEnum):
+    RECORDED = 0
+    GIVEN_UP = 1
+    DAMAGED = 2
+
+
+class ImageFlash(IntEnum):
+    UNCHECKED = 0
+    WHOLE = 1
+    DAMAGED = 2
 
 
 class StateFlag(IntFlag):
@@ -1074,6 +1087,42 @@ class PreambleReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class ImageReply(Reply):
+    """Answer to image."""
+
+    ID: ClassVar[int] = 0x5F
+    SCHEMA_BYTE: ClassVar[int] = 0x4F
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBBI")
+    LENGTH: ClassVar[int] = 10
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "slot", "starts", "why", "flash", "crc")
+
+    slot: int  # of flash, 0 or 1
+    starts: int  # on trial: starts so far, this one included; 0: confirmed
+    why: ImageWhy
+    flash: ImageFlash  # its copy there, looked at again and again
+    crc: int  # of the application that runs, as in its last word
+
+    def pack(self) -> bytes:
+        return _pack(
+            "image",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.slot,
+            self.starts,
+            self.why,
+            self.flash,
+            self.crc,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], ImageWhy(v[4]), ImageFlash(v[5]), v[6])
+
+
+@dataclass(frozen=True, slots=True)
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
     for ever.
@@ -1603,7 +1652,7 @@ class UpdateBegin(Command):
     """
 
     ID: ClassVar[int] = 0x14
-    SCHEMA_BYTE: ClassVar[int] = 0xB4
+    SCHEMA_BYTE: ClassVar[int] = 0xC9
     SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<II8s")
     LENGTH: ClassVar[int] = 16
@@ -1626,8 +1675,8 @@ class UpdateBegin(Command):
 
 @dataclass(frozen=True, slots=True)
 class UpdateData(Command):
-    """One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as
-    long as the flash needs to erase.
+    """One chunk of it. Chunks come in order; one that is there already changes nothing. It is carried out once the flash
+    has erased and written what came before: after the first of every 4 KiB that may take 0.4 s.
     """
 
     ID: ClassVar[int] = 0x15
@@ -1758,6 +1807,30 @@ class Preamble(Command):
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
         return cls(v[0], v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
+class Image(Command):
+    """Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three
+    starts without one the other application is started again.
+    """
+
+    ID: ClassVar[int] = 0x1F
+    SCHEMA_BYTE: ClassVar[int] = 0x58
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = ImageReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("image", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
 
 
 @dataclass(frozen=True, slots=True)
@@ -2036,6 +2109,7 @@ COMMANDS: dict[int, type[Command]] = {
     0x14: UpdateBegin,
     0x15: UpdateData,
     0x16: UpdateEnd,
+    0x1F: Image,
     0x17: Measure,
     0x18: Samples,
     0x19: Preamble,
@@ -2065,6 +2139,7 @@ REPLIES: dict[int, type[Reply]] = {
     0x54: UpdateBeginReply,
     0x55: UpdateDataReply,
     0x56: UpdateEndReply,
+    0x5F: ImageReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
     0x59: PreambleReply,

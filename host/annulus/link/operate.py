@@ -31,6 +31,9 @@ from annulus.link.messages import (
     FaultCode,
     Health,
     HealthReply,
+    Image,
+    ImageReply,
+    ImageWhy,
     Move,
     Pattern,
     Stage,
@@ -91,10 +94,25 @@ def status(port: str) -> dict[str, object]:
             "late_flashes": reply.late,
             "event_overruns": reply.overruns,
             "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
+            **_image_fields(client),
             **_configuration_fields(client),
             **_crash_fields(client),
             **_health(client),
         }
+
+
+def _image_fields(client: Client) -> dict[str, object]:
+    """Which application runs, and whether the next start would find it."""
+    found = client.request(Image()) if client.session.knows(Image) else None
+    if not isinstance(found, ImageReply):
+        return {"image_slot": None, "image": None, "image_in_flash": None}
+    if found.why is ImageWhy.GIVEN_UP:
+        line = "the newer one was started three times and no host understood it: went back to this"
+    elif found.why is ImageWhy.DAMAGED:
+        line = "the newer one is damaged in flash: went back to this. Flash again"
+    else:
+        line = f"on trial, start {found.starts} of 3" if found.starts else "confirmed"
+    return {"image_slot": found.slot, "image": line, "image_in_flash": found.flash.name.lower()}
 
 
 def _configuration_fields(client: Client) -> dict[str, object]:

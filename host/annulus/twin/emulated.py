@@ -1,13 +1,13 @@
 """The controller's shipped image on an emulated RP2040, in virtual time: tools/emulator as a child process, with the
 verbs of the native board, so that whatever runs on the one runs on the other.
 
-    with EmulatedBoard() as board:              # powered on; about 3 ms until it answers
+    with EmulatedBoard() as board:              # powered on; about 25 ms until it answers
         board.input(tick=50_000_000, pin=PIN_SYNC, level=0)
         board.run_until(60_000_000)
         answer, pins = board.serial_read(), board.pins()
 
-What differs from `NativeBoard`: there may be many; the boot byte is the image's own choice; a restart takes 1 ms of
-boot ROM and some more until the controller counts; and a run ends with an instruction, so an input given for the very
+What differs from `NativeBoard`: there may be many; the boot byte is the image's own choice; a restart takes 25 ms of
+boot ROM and loader until the controller counts; and a run ends with an instruction, so an input given for the very
 next ticks may come up to a tenth of a microsecond late.
 """
 
@@ -31,7 +31,7 @@ from annulus.vocabulary import AnnulusError
 
 BOARDS = ("native", "emulated")
 
-_BOOT_TICKS = 300_000  # boot ROM, clocks, first event
+_BOOT_TICKS = 3_000_000  # boot ROM, loader, clocks, first event
 
 
 class Board(Protocol):
