@@ -6,7 +6,7 @@
 
 #include "../board.h"
 #include "../ticks.h"
-#include "commands.h"
+#include "dispatch.h"
 #include "safety.h"
 
 #define HUSH_TICKS (TICK_HZ / 10U)           // an encoder gone bad must not fill the line with its reports
@@ -77,7 +77,7 @@ static void execute(controller_t* const self, const uint8_t line, const command_
     uint8_t reply[PAYLOAD_MAX];
     board_trail()->part = PART_COMMAND;
     board_trail()->command = command->layout->id;
-    commands_execute(self, line, command, reply);
+    dispatch(self, line, command, reply);
     link_reply(&self->links[line], command, reply);
 }
 

@@ -23,6 +23,7 @@ typedef struct {
     bool connected[LINES];  // at the last look
     uint8_t session;        // line whose host identified last: it commands, and gets the events
     bool schema_ok;         // and speaks our schema
+    uint8_t asking;         // line whose command is being carried out
     uint8_t level[LINES];   // at which a line's host is spoken to
     rereads_t rereads[LINES];
     command_t held[LINES];  // an update's, while the flash is at work
