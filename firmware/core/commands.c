@@ -209,6 +209,9 @@ uint8_t execute_measure(controller_t* const self, const command_measure_t* const
                                   .level = command->level,
                                   .first = command->first,
                                   .delay_ticks = command->delay});
+    if (command->looks > 0U) {
+        sequencer_measures(&self->sequencer);
+    }
     return STATUS_OK;
 }
 

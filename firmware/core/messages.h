@@ -142,7 +142,18 @@ enum {
 #define EDGE_FIRST 4U
 #define EDGE_DISARMED 8U
 #define EDGE_PREAMBLE 16U
-#define EDGE_AT_LEVEL_1 15U  // of these, what a host of level 1 knows
+#define EDGE_ODOMETER_FROZEN 32U
+// Of the flags of `edge`, those that a host of this level knows.
+static inline uint32_t edge_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 15U;
+    }
+    if (level < 3U) {
+        return 31U;
+    }
+    return 63U;
+}
 
 #define STATE_SYNCED 1U
 #define STATE_LAMPS_ARMED 2U
@@ -153,12 +164,26 @@ enum {
 #define STATE_STAGED 64U
 #define STATE_SCHEMA_OK 128U
 #define STATE_TURNTABLE_LOST 256U
-#define STATE_AT_LEVEL_1 255U  // of these, what a host of level 1 knows
+// Of the flags of `state`, those that a host of this level knows.
+static inline uint32_t state_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 255U;
+    }
+    return 511U;
+}
 
 #define TURNTABLE_END_LOW 1U
 #define TURNTABLE_END_HIGH 2U
 #define TURNTABLE_END_HARD 4U
-#define TURNTABLE_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
+// Of the flags of `turntable`, those that a host of this level knows.
+static inline uint32_t turntable_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 0U;
+    }
+    return 7U;
+}
 
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
@@ -679,7 +704,7 @@ typedef struct {
 void reply_image_pack(const reply_image_t* self, uint8_t* payload);
 void reply_image_unpack(reply_image_t* self, const uint8_t* payload);
 
-// The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
+// The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile, and edges say so (odometer_frozen). The first `measure` is refused while anything is armed; `looks` 0 ends it.
 #define COMMAND_MEASURE_LENGTH 9U
 typedef struct {
     uint16_t looks;  // how many; 0 ends the measurement, and the odometer counts on

@@ -130,6 +130,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     flags |= self->has_last ? 0U : EDGE_FIRST;
     flags |= plan->armed ? 0U : EDGE_DISARMED;
     flags |= plan->preamble ? EDGE_PREAMBLE : 0U;
+    flags |= self->odometer_stood ? EDGE_ODOMETER_FROZEN : 0U;
     event_edge_pack(&(event_edge_t){.edge = self->edges,
                                     .tick = edge->tick,
                                     .slot = plan->slot,
@@ -186,12 +187,17 @@ void sequencer_start(sequencer_t* const self)
 void sequencer_edges(sequencer_t* const self, events_t* const events, const uint32_t now)
 {
     board_edge_t edge;
+    bool any = false;
     board_lamps_run();
     while (board_edge(&edge)) {  // all of them before loading: after a stall, the next edge is not the second
         report_edge(self, &edge, events);
         self->reload = true;
+        any = true;
     }
     self->just_armed = false;
+    // A measurement is begun and ended by commands, which come later in a round: if none is under way now, the edges
+    // just reported are the last ones that it can have concerned.
+    self->odometer_stood = self->odometer_stood && (board_measuring() || !any);
     check_sync(self, events, now);
 }
 
@@ -314,6 +320,11 @@ void sequencer_preamble(sequencer_t* const self, const command_preamble_t* const
     if (!self->armed || preamble->running || (config->length == 0U)) {
         preamble->config.now = 0;
     }
+}
+
+void sequencer_measures(sequencer_t* const self)
+{
+    self->odometer_stood = true;
 }
 
 void sequencer_arm(sequencer_t* const self)

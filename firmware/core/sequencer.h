@@ -36,6 +36,7 @@ typedef struct {
     uint8_t tag;      // of the last load
     bool has_last;
     bool synced;
+    bool odometer_stood;  // since the last edge, or still
     uint16_t late;
     uint32_t armed_at;  // tick, meaningful with just_armed
     uint32_t edges;
@@ -67,6 +68,10 @@ bool sequencer_commit(sequencer_t* self, uint8_t generation);
 
 // Preambles from the flash after the loaded one on; one that runs goes on, but for what is over the length.
 void sequencer_preamble(sequencer_t* self, const command_preamble_t* config);
+
+// The board measures its own pins from now on: until it no longer does, and for one edge more, edges say that the
+// odometer stood still.
+void sequencer_measures(sequencer_t* self);
 
 // From slot 0, after a preamble. Needs a configuration in force.
 void sequencer_arm(sequencer_t* self);

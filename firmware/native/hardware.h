@@ -74,6 +74,7 @@ void lamps_step(void);
 // Transitions so far, and where the odometer stands after so many.
 void odometer_start(void);
 void odometer_input(void);
+void odometer_hold(bool held);
 uint32_t odometer_now(void);
 int32_t odometer_decode(uint32_t until);
 const quadrature_t* odometer_state(void);

@@ -1725,8 +1725,8 @@ class UpdateEnd(Command):
 @dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
-    levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
-    `measure` is refused while anything is armed; `looks` 0 ends it.
+    levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile, and edges say
+    so (odometer_frozen). The first `measure` is refused while anything is armed; `looks` 0 ends it.
     """
 
     ID: ClassVar[int] = 0x17
