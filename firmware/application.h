@@ -16,7 +16,7 @@
 #define APPLICATION_NAME_AT 196U
 #define APPLICATION_NAME_START 0x756E6E61U  // "annu", as a word
 #define APPLICATION_SIGNATURE_BYTES 64U
-#define APPLICATION_MIN_BYTES (APPLICATION_NAME_AT + 4U + APPLICATION_SIGNATURE_BYTES + 4U)
+#define APPLICATION_MIN_BYTES (APPLICATION_NAME_AT + 4U + 4U)
 
 static inline __attribute__((always_inline)) uint32_t application_word(const uint8_t* const at)
 {

@@ -124,6 +124,21 @@ size_t board_transmit(uint8_t line, const uint8_t* bytes, size_t size);
 // True when every byte handed over has left the line.
 bool board_transmitted(uint8_t line);
 
+// ---- which level means what ----
+
+#define POLARITY_LAMPS (POLARITY_PROJECTOR | POLARITY_LED)
+#define POLARITY_BURSTS (POLARITY_MICROWAVE | POLARITY_TRIGGER)
+#define POLARITY_OUTPUTS (POLARITY_LAMPS | POLARITY_BURSTS)
+
+// From now on these outputs are driven, each at its dark level, which is high for those that are `inverted`; and a sync
+// input among `pins` counts rising edges if it is. Until then, from a reset on, no output of these is driven: a
+// resistor outside keeps it dark, whichever level that is. Everything else in this file speaks of them as if none were
+// inverted. Only while nothing is armed.
+void board_polarity(uint8_t pins, uint8_t inverted);
+
+// Outputs that are driven.
+uint8_t board_driven(void);
+
 // ---- sync input and lamp gates ----
 
 typedef struct {

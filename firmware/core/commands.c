@@ -82,10 +82,25 @@ void holds_stage(const controller_t* const self, reply_stage_t* const reply)
     reply->generation = generation_after(self, reply->status);
 }
 
+uint8_t execute_polarity(controller_t* const self, const command_polarity_t* const command,
+                         reply_polarity_t* const reply)
+{
+    (void)reply;
+    return status_if((self->armed == 0U) && sequencer_polarity(&self->sequencer, command));
+}
+
+void holds_polarity(const controller_t* const self, reply_polarity_t* const reply)
+{
+    if (self->sequencer.is_staged) {
+        reply->generation = self->sequencer.staged.generation;
+        reply->inverted = self->sequencer.staged_wiring.inverted;
+    }
+}
+
 uint8_t execute_commit(controller_t* const self, const command_commit_t* const command, reply_commit_t* const reply)
 {
     (void)reply;
-    return status_if(sequencer_commit(&self->sequencer, command->generation));
+    return status_if(sequencer_commit(&self->sequencer, command->generation, self->armed != 0U));
 }
 
 void holds_commit(const controller_t* const self, reply_commit_t* const reply)

@@ -23,6 +23,7 @@ typedef union {
     command_measure_t measure;
     command_samples_t samples;
     command_preamble_t preamble;
+    command_polarity_t polarity;
     command_turntable_t turntable;
 } any_command_t;
 
@@ -57,6 +58,8 @@ typedef union {
     reply_measure_t measure;
     reply_samples_t samples;
     reply_preamble_t preamble;
+    reply_polarity_t polarity;
+    reply_wiring_t wiring;
     reply_turntable_t turntable;
     reply_turntable_stop_t turntable_stop;
 } any_reply_t;
@@ -131,6 +134,11 @@ static uint8_t unpack(any_command_t* const command, const uint8_t id, const uint
     case COMMAND_PREAMBLE:
         command_preamble_unpack(&command->preamble, payload);
         return command_preamble_range(&command->preamble);
+    case COMMAND_POLARITY:
+        command_polarity_unpack(&command->polarity, payload);
+        return command_polarity_range(&command->polarity);
+    case COMMAND_WIRING:
+        break;
     case COMMAND_TURNTABLE:
         command_turntable_unpack(&command->turntable, payload);
         return command_turntable_range(&command->turntable);
@@ -196,6 +204,10 @@ static uint8_t execute(controller_t* const self, const uint8_t id, const any_com
         return execute_samples(self, &command->samples, &reply->samples);
     case COMMAND_PREAMBLE:
         return execute_preamble(self, &command->preamble, &reply->preamble);
+    case COMMAND_POLARITY:
+        return execute_polarity(self, &command->polarity, &reply->polarity);
+    case COMMAND_WIRING:
+        return execute_wiring(self, &reply->wiring);
     case COMMAND_TURNTABLE:
         return execute_turntable(self, &command->turntable, &reply->turntable);
     case COMMAND_TURNTABLE_STOP:
@@ -294,6 +306,13 @@ static void pack(const controller_t* const self, const uint8_t id, any_reply_t* 
         holds_preamble(self, &reply->preamble);
         reply_preamble_pack(&reply->preamble, answer);
         break;
+    case COMMAND_POLARITY:
+        holds_polarity(self, &reply->polarity);
+        reply_polarity_pack(&reply->polarity, answer);
+        break;
+    case COMMAND_WIRING:
+        reply_wiring_pack(&reply->wiring, answer);
+        break;
     case COMMAND_TURNTABLE:
         holds_turntable(self, &reply->turntable);
         reply_turntable_pack(&reply->turntable, answer);
@@ -335,6 +354,8 @@ void dispatch(controller_t* const self, const uint8_t line, const command_t* con
         [COMMAND_MEASURE] = NEEDS_SCHEMA,
         [COMMAND_SAMPLES] = NEEDS_NOTHING,
         [COMMAND_PREAMBLE] = NEEDS_SCHEMA,
+        [COMMAND_POLARITY] = NEEDS_SCHEMA,
+        [COMMAND_WIRING] = NEEDS_NOTHING,
         [COMMAND_TURNTABLE] = NEEDS_SCHEMA,
         [COMMAND_TURNTABLE_STOP] = NEEDS_NOTHING,
     };

@@ -47,6 +47,9 @@ uint8_t execute_measure(controller_t* self, const command_measure_t* command, re
 uint8_t execute_samples(controller_t* self, const command_samples_t* command, reply_samples_t* reply);
 uint8_t execute_preamble(controller_t* self, const command_preamble_t* command, reply_preamble_t* reply);
 void holds_preamble(const controller_t* self, reply_preamble_t* reply);
+uint8_t execute_polarity(controller_t* self, const command_polarity_t* command, reply_polarity_t* reply);
+void holds_polarity(const controller_t* self, reply_polarity_t* reply);
+uint8_t execute_wiring(controller_t* self, reply_wiring_t* reply);
 uint8_t execute_turntable(controller_t* self, const command_turntable_t* command, reply_turntable_t* reply);
 void holds_turntable(const controller_t* self, reply_turntable_t* reply);
 uint8_t execute_turntable_stop(controller_t* self, reply_turntable_stop_t* reply);

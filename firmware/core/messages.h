@@ -185,6 +185,20 @@ static inline uint32_t turntable_flags_at_level(const uint8_t level)
     return 7U;
 }
 
+#define POLARITY_SYNC 1U
+#define POLARITY_PROJECTOR 2U
+#define POLARITY_LED 4U
+#define POLARITY_MICROWAVE 8U
+#define POLARITY_TRIGGER 16U
+// Of the flags of `polarity`, those that a host of this level knows.
+static inline uint32_t polarity_flags_at_level(const uint8_t level)
+{
+    if (level < 3U) {
+        return 0U;
+    }
+    return 31U;
+}
+
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
 
@@ -239,6 +253,10 @@ enum {
     REPLY_SAMPLES = 0x58,
     COMMAND_PREAMBLE = 0x19,
     REPLY_PREAMBLE = 0x59,
+    COMMAND_POLARITY = 0x1A,
+    REPLY_POLARITY = 0x5A,
+    COMMAND_WIRING = 0x1C,
+    REPLY_WIRING = 0x5C,
     COMMAND_TURNTABLE = 0x12,
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
@@ -772,6 +790,43 @@ typedef struct {
 } reply_preamble_t;
 void reply_preamble_pack(const reply_preamble_t* self, uint8_t* payload);
 void reply_preamble_unpack(reply_preamble_t* self, const uint8_t* payload);
+
+// Which pins the wiring inverts. Goes with the configuration that is staged, directly after its `stage`; what is not said stays as it is in force. Refused while anything is armed. Interlock and end switches can not be inverted: a broken wire must say unsafe.
+#define COMMAND_POLARITY_LENGTH 2U
+typedef struct {
+    uint8_t generation;  // of the configuration that is staged
+    uint8_t inverted;
+} command_polarity_t;
+void command_polarity_pack(const command_polarity_t* self, uint8_t* payload);
+void command_polarity_unpack(command_polarity_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_polarity_range(const command_polarity_t* self);
+
+// Answer to polarity.
+#define REPLY_POLARITY_LENGTH 4U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration that is staged; 0 = none
+    uint8_t inverted;  // that would be in force with its commit
+} reply_polarity_t;
+void reply_polarity_pack(const reply_polarity_t* self, uint8_t* payload);
+void reply_polarity_unpack(reply_polarity_t* self, const uint8_t* payload);
+
+// What of the pins is in force beside `configuration`.
+#define COMMAND_WIRING_LENGTH 0U
+
+// Answer to wiring.
+#define REPLY_WIRING_LENGTH 5U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration in force; 0 = none
+    uint8_t inverted;
+    uint8_t driven;  // outputs that are driven: see protocol/README.md
+} reply_wiring_t;
+void reply_wiring_pack(const reply_wiring_t* self, uint8_t* payload);
+void reply_wiring_unpack(reply_wiring_t* self, const uint8_t* payload);
 
 // How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset: the widest limits, no ramp, no switches.
 #define COMMAND_TURNTABLE_LENGTH 17U

@@ -110,6 +110,14 @@ uint8_t execute_configuration(controller_t* const self, reply_configuration_t* c
     return STATUS_OK;
 }
 
+uint8_t execute_wiring(controller_t* const self, reply_wiring_t* const reply)
+{
+    *reply = (reply_wiring_t){.generation = self->sequencer.config.generation,
+                              .inverted = self->sequencer.wiring.inverted,
+                              .driven = board_driven()};
+    return STATUS_OK;
+}
+
 uint8_t execute_image(controller_t* const self, reply_image_t* const reply)
 {
     (void)self;

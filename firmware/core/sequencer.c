@@ -95,6 +95,8 @@ static void put_in_force(sequencer_t* const self, events_t* const events, const 
         self->synced = false;  // to be found again at the new period
     }
     self->config = self->staged;
+    self->wiring = self->staged_wiring;
+    board_polarity(POLARITY_SYNC | POLARITY_OUTPUTS, self->wiring.inverted);
     self->is_staged = false;
     self->is_committed = false;
     event_configured_pack(
@@ -296,14 +298,29 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
         return STATUS_BAD_STATE;  // what waits for slot 0 must not change under it
     }
     self->staged = *config;
+    self->staged_wiring = self->wiring;  // a host that knows nothing of it changes nothing of it
     self->is_staged = true;
     reply->generation = config->generation;
     return STATUS_OK;
 }
 
-bool sequencer_commit(sequencer_t* const self, const uint8_t generation)
+bool sequencer_polarity(sequencer_t* const self, const command_polarity_t* const config)
+{
+    if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
+        return false;
+    }
+    self->staged_wiring.inverted = config->inverted;
+    return true;
+}
+
+// An output whose polarity changes changes its level at once, lit or dark: so nothing may be armed, and what is armed
+// later finds it in force.
+bool sequencer_commit(sequencer_t* const self, const uint8_t generation, const bool live)
 {
     if (!self->is_staged || (self->staged.generation != generation)) {
+        return false;
+    }
+    if (live && (self->staged_wiring.inverted != self->wiring.inverted)) {
         return false;
     }
     self->is_committed = true;

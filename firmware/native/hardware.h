@@ -47,7 +47,9 @@ uint32_t time_now(void);  // the controller's tick, for this folder: takes nothi
 
 void pinuse_begin(void);
 void pinuse_start(void);
-void pinuse_drive(uint8_t pin, uint8_t level);
+void pinuse_drive(uint8_t pin, uint8_t level);  // as if no pin were inverted
+uint8_t pinuse_driven(uint8_t pin);             // how it was last driven
+uint8_t pinuse_seen(uint8_t pin);               // an input as the controller sees it
 bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
 
 void identity_begin(void);

@@ -29,7 +29,8 @@ static uint32_t levels_now(void)
     uint32_t levels = 0;
     for (uint32_t i = 0; i < 4U; i++) {
         const uint32_t pin = measure.look.first + i;
-        levels |= (pin < PIN_COUNT) ? (uint32_t)world.levels[pin] << i : 0U;
+        const uint32_t level = (pin == PIN_SYNC) ? pinuse_seen(PIN_SYNC) : (pin < PIN_COUNT) ? world.levels[pin] : 0U;
+        levels |= level << i;
     }
     return levels;
 }

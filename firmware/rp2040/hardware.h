@@ -20,7 +20,10 @@ void microwave_start(void);
 void turntable_start(void);
 void usb_start(void);
 
-// Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
+// The gates that are driven: at their dark level now, whatever PIO does.
+void pinuse_darken(void);
+
+// Every output that can fire: dark now, its machines back in reset. There is no way on from here but a restart.
 void outputs_off(void);
 
 // Until something happens, 100 us at most.

@@ -353,8 +353,6 @@ void lamps_start(void)
     REGISTER(PIO_PINCTRL(PIO0, LAMP_MACHINE)) = PINS_OUT(PIN_PROJECTOR, 2U) | PINS_SET(PIN_PROJECTOR, 2U);
     lamp_execute(MOV_PINS_NULL);
     lamp_execute(SET_DIRECTIONS(3U));
-    pin_use(PIN_PROJECTOR, FUNCTION_PIO0, PAD_DRIVE_4MA | PAD_PULL_DOWN);
-    pin_use(PIN_LED, FUNCTION_PIO0, PAD_DRIVE_4MA | PAD_PULL_DOWN);
     lamp_execute(JMP(LAMP_IDLE));
 
     lamps.holdoff = HOLDOFF_AT_RESET_TICKS;

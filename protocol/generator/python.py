@@ -16,7 +16,13 @@ ENUM_NAMES = {
     "image_flash": "ImageFlash",
     "part": "RoundPart",
 }
-FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "turntable": "TurntableFlag", "arm": "ArmFlag"}
+FLAG_NAMES = {
+    "edge": "EdgeFlag",
+    "state": "StateFlag",
+    "turntable": "TurntableFlag",
+    "polarity": "PolarityFlag",
+    "arm": "ArmFlag",
+}
 FROM_VOCABULARY = ("EdgeFlag", "Lamp")
 
 PYTHON_HEAD = '''"""Every message of the wire, as it crosses it. {generated}

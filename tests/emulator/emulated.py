@@ -215,6 +215,10 @@ class EmulatedBoard:
         """Jumpers from an output to an input each, in place of those before."""
         self._do(op="wires", wires=wires)
 
+    def pull(self, *pulls: tuple[int, int]) -> None:
+        """Resistors outside at these outputs, to this level each, in place of those before."""
+        self._do(op="pulls", pulls=pulls)
+
     def write(self, data: bytes) -> None:
         if self.over_usb:
             self.usb_do("write", hex=data.hex())

@@ -2,12 +2,14 @@
 
 import pytest
 
+from annulus.link.pins import pins_of
 from annulus.twin.soak import soak
 
 pytestmark = pytest.mark.deep(
     gate="tests/unit/twin/test_soak.py::test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets"
 )
 FRAMES = 50_000
+ACTIVE_LOW = pins_of("sync,projector,led")
 
 
 @pytest.mark.timeout(600)  # 13 s of two idle cores: what takes that long hangs
@@ -18,3 +20,10 @@ def test_no_lamp_and_no_place_is_wrong_under_every_fault_and_little_is_unknown()
     assert result["relock_frames_max"] <= 8, result["relock_worst"]
     assert result["untold"] == result["z_beyond_bound"] == 0
     assert 0 < result["z_assumed"] < 0.1 * FRAMES
+
+
+@pytest.mark.timeout(600)
+def test_no_label_is_wrong_on_a_head_of_active_low_lamps_and_a_sync_that_rises() -> None:
+    result = soak(20_000, seed=1, faults="all", pins=ACTIVE_LOW)
+    assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
+    assert result["unknown"] <= 0.025 * 20_000 and result["untold"] == 0

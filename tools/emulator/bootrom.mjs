@@ -66,7 +66,8 @@ export function callRom(machine) {
       return;
     case ROM_TO_USB_BOOT: {
       // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
-      const high = OUTPUT_PINS.filter((pin) => !OUTPUTS_HIGH_AT_RESET.includes(pin) && machine.pinLevels.get(pin));
+      const rest = (pin) => machine.pulls.get(pin) ?? (OUTPUTS_HIGH_AT_RESET.includes(pin) ? 1 : 0); // a resistor outside: the driver wants it
+      const high = OUTPUT_PINS.filter((pin) => machine.pinLevels.get(pin) === 1 && rest(pin) === 0);
       machine.bootloader = { tick: machine.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
       machine.watchdog.scratchData[0] = r0;
       machine.watchdog.scratchData[1] = r1;

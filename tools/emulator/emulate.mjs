@@ -9,7 +9,7 @@
 //
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
 //   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
-//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
+//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "pulls", "pulls": [[output, level], ..]} (resistors outside) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
 //   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot) | {"op": "ram", "at": ADDRESS, "hex": ".."}
 //   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing} (another board in place of this one)
@@ -24,6 +24,7 @@ import { createInterface } from 'node:readline';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
+import { setPulls } from './pads.mjs';
 import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
@@ -58,6 +59,7 @@ function answer(machine, op) {
     case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
     case 'wires': machine.setWires(op.wires); break;
+    case 'pulls': setPulls(machine, op.pulls); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
     case 'power-cycle': powerCycle(machine, op.short); break;

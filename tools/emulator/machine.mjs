@@ -1,7 +1,7 @@
 // The shipped image on an RP2040: processor, timer, clocks and pads by rp2040js; PIO, DMA, UART, resets and the checks
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
-import { RP2040, GPIOPinState } from 'rp2040js';
+import { RP2040 } from 'rp2040js';
 import { Cache, MISS_TICKS } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
 import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
@@ -9,6 +9,7 @@ import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
 import { Loop, SysTick } from './loop.mjs';
+import { padLevel, putBehindOverride, writePinControl } from './pads.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
 import { Trap } from './trap.mjs';
@@ -16,6 +17,7 @@ import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
+const USED_PINS = [...INPUT_PINS, ...OUTPUT_PINS];
 const RAM = 0x20000000;
 const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
@@ -40,6 +42,7 @@ export class Machine {
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
     this.wires = new Map(); // output pin => the input it drives
+    this.pulls = new Map(); // output pin => level of a resistor outside
     this.stalledUntil = 0;
     this.resets = [];
     this.scratch = new Uint32Array(8);
@@ -96,8 +99,9 @@ export class Machine {
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
     this.quietUntil = this.now;
-    for (const index of [...INPUT_PINS, ...OUTPUT_PINS]) {
+    for (const index of USED_PINS) {
       const pin = chip.gpio[index];
+      putBehindOverride(pin);
       pin.addListener(() => this.note(index));
       if (OUTPUT_PINS.includes(index)) this.note(index);
     }
@@ -123,9 +127,9 @@ export class Machine {
 
   note(index) {
     const pin = this.chip.gpio[index];
-    const value = pin.value;
-    const level = value === GPIOPinState.High || value === GPIOPinState.InputPullUp ? 1 : 0;
     if (!OUTPUT_PINS.includes(index)) return;
+    const level = padLevel(pin, this.pulls.get(index));
+    pin.rawInputValue = level === 1;
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
@@ -267,6 +271,7 @@ export class Machine {
         if (offset < 0xf0 && (offset & 4) && (value & 31) !== 31 && !this.padsSet.has(offset >> 3)) {
           fault(`GPIO${offset >> 3} is used, but its pad is left as it was at reset`);
         }
+        if (offset < 0xf0) return writePinControl(this, offset, value, kind);
         break;
       case 0x40054:
         if (!this.watchdog.tickEnable) fault('the timer stands still: nobody started the watchdog tick');
@@ -305,8 +310,7 @@ export class Machine {
 
   rawInputs() {
     let raw = 0;
-    for (const pin of INPUT_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
-    for (const pin of OUTPUT_PINS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) raw |= 1 << pin;
+    for (const pin of USED_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
     return raw;
   }
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
+from annulus.daemon.wiring import inverted_pins
 from annulus.geometry.calibration import Calibration
 from annulus.job import WORDS, JobSheet, provenance
 from annulus.record.calibration_file import load_calibration, load_part, load_sections
@@ -114,6 +115,7 @@ class HeadConfig:
     cameras: tuple[CameraConfig, ...] = (CameraConfig(),)  # on one sync line; a frame's `camera` counts in this order
     lamps: LampConfig = LampConfig()
     port: str | None = None  # None: labels come with the frames (scan folder) or are unknown
+    inverted: tuple[str, ...] = ()  # pins of the controller whose wiring wants the other level, of link.pins.INVERTIBLE
     mm_per_count: float = 0.05
     max_speed_mm_s: float = MAX_SPEED_MM_S  # of the winch: what was not counted is bounded by it
     calibration: Calibration | None = None  # None: no live reconstruction
@@ -150,6 +152,7 @@ class HeadConfig:
             "lamps": asdict(self.lamps),
             "record": asdict(self.record),
             "port": self.port,
+            "inverted": list(self.inverted),
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
             "job": self.job.to_dict(),
@@ -163,7 +166,7 @@ class HeadConfig:
 
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
-    "controller": ("port",),
+    "controller": ("port", "inverted"),
     "camera": (
         "kind",
         "device",
@@ -229,6 +232,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         cameras=cameras,
         lamps=_lamps(data.get("lamps", {})),
         port=_optional(data, "controller", "port"),
+        inverted=inverted_pins(data.get("controller", {})),
         mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
         max_speed_mm_s=_number(data.get("odometer", {}), "odometer", "max_speed_mm_s", MAX_SPEED_MM_S, 1.0, 1e5),
         calibration=None if calibration_file is None else load_calibration(folder / calibration_file),

@@ -10,9 +10,11 @@ from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.request import LAMP_KEYS
-from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged
+from annulus.link.head import HeadControl, HeadEvent, PhaseChanged
 from annulus.link.messages import Fault, Preamble, Stage, StateFlag, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins, pins_named
 from annulus.link.port import Opening, Port
 from annulus.link.preamble import preamble_of
 from annulus.link.problems import too_old
@@ -36,11 +38,17 @@ class ControllerLine:
     """One controller behind one port. Nothing here waits but `identify` and `disarm`."""
 
     def __init__(
-        self, url: str, stage: Stage, account: Account, observer: Observer, preamble: Preamble | None = None
+        self,
+        url: str,
+        stage: Stage,
+        account: Account,
+        observer: Observer,
+        preamble: Preamble | None = None,
+        pins: Pins = AS_WIRED,
     ) -> None:
         """Raises AnnulusError when the port cannot be opened."""
         self.url, self._account, self._observer = url, account, observer
-        self.head = HeadControl(stage, armed=False, preamble=preamble)
+        self.head = HeadControl(stage, armed=False, preamble=preamble, pins=pins)
         self._port: Port | None = Port(url)
         self._opening: Opening | None = None
         self._reopen_s = 0.0
@@ -271,6 +279,11 @@ def preamble_for(config: HeadConfig) -> Preamble | None:
     if lamps.preamble_frames == 0:
         return None
     return preamble_of(stage_of(config), lamps.preamble_frames, lamps.preamble_interval_s)
+
+
+def pins_for(config: HeadConfig) -> Pins:
+    """What head.toml says of the wiring."""
+    return Pins(pins_named(config.inverted))
 
 
 def line_numbers(line: ControllerLine | None) -> dict[str, object]:

@@ -12,7 +12,6 @@ after a reset or a fault. The daemon drives it through a port, the soak in virtu
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 from annulus.controller import TICK_NS
 from annulus.link.boots import BootWatch
@@ -31,15 +30,28 @@ from annulus.link.messages import (
     IdentifyReply,
     Ping,
     PingReply,
+    Polarity,
     Preamble,
     Stage,
     StateFlag,
     Status,
     StatusCode,
     StatusReply,
+    Wiring,
+    WiringReply,
 )
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.link.preamble import PreambleOrders
-from annulus.link.problems import STOPPED, TAKEN_OVER, configuration_problem, is_stopped, refusal, schema_problem
+from annulus.link.problems import (
+    STOPPED,
+    TAKEN_OVER,
+    configuration_problem,
+    is_stopped,
+    refusal,
+    schema_problem,
+    too_old,
+)
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Slot, Tick
 
@@ -51,28 +63,8 @@ PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
+ADDED = (Configuration, Preamble, Polarity, Wiring)  # commands that a controller of level 1 does not have
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
-
-
-class Phase(StrEnum):
-    """How far the controller is. REFUSED and MISMATCH last until the configuration or the firmware changes, STOPPED
-    until `arm`.
-    """
-
-    SEARCHING = "searching"
-    LOOKING = "looking"  # are the lamps still as we left them?
-    DISARMING = "disarming"
-    STAGING = "staging"
-    COMMITTING = "committing"
-    VERIFYING = "verifying"  # reads back what is in force
-    PREPARING = "preparing"  # says how optical preambles are to be
-    CLEARING = "clearing"
-    ARMING = "arming"
-    RUNNING = "running"  # armed, as asked
-    IDLE = "idle"  # configured, or nothing to configure; dark, as asked
-    STOPPED = "stopped"  # by somebody else; dark, and kept so
-    REFUSED = "refused"
-    MISMATCH = "mismatch"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +112,16 @@ class HeadControl:
     """
 
     def __init__(
-        self, configuration: Stage | None = None, *, armed: bool = True, preamble: Preamble | None = None
+        self,
+        configuration: Stage | None = None,
+        *,
+        armed: bool = True,
+        preamble: Preamble | None = None,
+        pins: Pins = AS_WIRED,
     ) -> None:
         """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
-        the controller has them.
+        the controller has them. `pins`: what the wiring wants of them; a controller that knows nothing of that is not
+        armed if it is anything.
         """
         self.session = Session()
         self.clock = ClockMap()
@@ -135,6 +133,7 @@ class HeadControl:
         self.rearms = 0  # times the lamps were armed again after a reset or fault
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
+        self._pins = pins
         self._armed = armed
         self.preambles = PreambleOrders(preamble, configuration.frame_period if configuration else PERIOD_TICKS)
         self._lit = False  # armed, by all we know
@@ -236,10 +235,14 @@ class HeadControl:
                 return Arm(ArmFlag(0))
             case Phase.STAGING if self._configuration is not None:
                 return replace(self._configuration, generation=self._generation)
+            case Phase.WIRING:
+                return self._pins.polarity(self._generation)
             case Phase.COMMITTING:
                 return Commit(self._generation)
             case Phase.VERIFYING:
                 return Configuration()
+            case Phase.CONFIRMING:
+                return Wiring()
             case Phase.PREPARING:
                 return self.preambles.wanted
             case Phase.CLEARING:
@@ -252,15 +255,21 @@ class HeadControl:
         """What is in force is read back, and preambles are ordered, where the controller can; that one is known once
         `info` is settled.
         """
-        if not isinstance(step, Configuration | Preamble) or self.session.knows(type(step)):
+        if not isinstance(step, ADDED) or self.session.knows(type(step)):
             return True
-        if self.session.informed:
+        if self.session.informed and isinstance(step, Polarity) and self._pins != AS_WIRED:
+            self._enter(Phase.REFUSED, too_old(Polarity))
+        elif self.session.informed:
             self._go_on_from(self.phase)
         return False
 
     def _go_on_from(self, phase: Phase) -> None:
         """With what is in force: preambles, then the lamps."""
-        if phase is Phase.VERIFYING and self.preambles.wanted is not None:
+        if phase is Phase.WIRING:
+            self._enter(Phase.COMMITTING)
+        elif phase is Phase.VERIFYING and self.session.knows(Wiring):
+            self._enter(Phase.CONFIRMING)
+        elif phase in (Phase.VERIFYING, Phase.CONFIRMING) and self.preambles.wanted is not None:
             self._enter(Phase.PREPARING)
         else:
             self._enter(Phase.ARMING if self._armed else Phase.IDLE)
@@ -299,12 +308,16 @@ class HeadControl:
                 self._generation = self._generation % 255 + 1
                 self._enter(Phase.STAGING)
             case Stage():
+                self._enter(Phase.WIRING)
+            case Polarity():
                 self._enter(Phase.COMMITTING)
             case Commit():
                 self._committed = True
                 self._enter(Phase.VERIFYING)
             case Configuration() if isinstance(answer.reply, ConfigurationReply):
                 self._verified(answer.reply)
+            case Wiring() if isinstance(answer.reply, WiringReply):
+                self._settle(self._pins.problem(answer.reply, self._generation))
             case Preamble():
                 self._go_on_from(Phase.PREPARING)
             case Status() if isinstance(answer.reply, StatusReply):
@@ -335,12 +348,15 @@ class HeadControl:
 
     def _verified(self, reply: ConfigurationReply) -> None:
         asked = replace(self._configuration, generation=self._generation) if self._configuration is not None else None
-        problem = configuration_problem(reply, asked) if asked is not None else ""
+        self._settle(configuration_problem(reply, asked) if asked is not None else "")
+
+    def _settle(self, problem: str) -> None:
+        """What is in force was read back: is it what was asked for?"""
         if problem:
             self._committed = False
             self._enter(Phase.REFUSED, problem)
         else:
-            self._go_on_from(Phase.VERIFYING)
+            self._go_on_from(self.phase)
 
     def _refused(self, answer: Answer, now: int) -> None:
         status = answer.reply.status

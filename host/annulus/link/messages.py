@@ -126,6 +126,14 @@ class TurntableFlag(IntFlag):
     END_HARD = 4
 
 
+class PolarityFlag(IntFlag):
+    SYNC = 1
+    PROJECTOR = 2
+    LED = 4
+    MICROWAVE = 8
+    TRIGGER = 16
+
+
 class ArmFlag(IntFlag):
     LAMPS = 1
     MICROWAVE = 2
@@ -1087,6 +1095,53 @@ class PreambleReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class PolarityReply(Reply):
+    """Answer to polarity."""
+
+    ID: ClassVar[int] = 0x5A
+    SCHEMA_BYTE: ClassVar[int] = 0xB9
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBB")
+    LENGTH: ClassVar[int] = 4
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "inverted")
+
+    generation: int  # of the configuration that is staged; 0 = none
+    inverted: PolarityFlag  # that would be in force with its commit
+
+    def pack(self) -> bytes:
+        return _pack("polarity", self.LAYOUT, self.status, self.detail, self.generation, self.inverted)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]))
+
+
+@dataclass(frozen=True, slots=True)
+class WiringReply(Reply):
+    """Answer to wiring."""
+
+    ID: ClassVar[int] = 0x5C
+    SCHEMA_BYTE: ClassVar[int] = 0x46
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBB")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "inverted", "driven")
+
+    generation: int  # of the configuration in force; 0 = none
+    inverted: PolarityFlag
+    driven: PolarityFlag  # outputs that are driven: see protocol/README.md
+
+    def pack(self) -> bytes:
+        return _pack("wiring", self.LAYOUT, self.status, self.detail, self.generation, self.inverted, self.driven)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]))
+
+
+@dataclass(frozen=True, slots=True)
 class ImageReply(Reply):
     """Answer to image."""
 
@@ -1810,6 +1865,56 @@ class Preamble(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Polarity(Command):
+    """Which pins the wiring inverts. Goes with the configuration that is staged, directly after its `stage`; what is not
+    said stays as it is in force. Refused while anything is armed. Interlock and end switches can not be inverted: a
+    broken wire must say unsafe.
+    """
+
+    ID: ClassVar[int] = 0x1A
+    SCHEMA_BYTE: ClassVar[int] = 0xE1
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    LENGTH: ClassVar[int] = 2
+    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "inverted")
+    REPLY: ClassVar[type[Reply]] = PolarityReply
+    QUERY: ClassVar[bool] = False
+
+    generation: int  # of the configuration that is staged
+    inverted: PolarityFlag
+
+    def pack(self) -> bytes:
+        return _pack("polarity", self.LAYOUT, self.generation, self.inverted)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], PolarityFlag(v[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring(Command):
+    """What of the pins is in force beside `configuration`."""
+
+    ID: ClassVar[int] = 0x1C
+    SCHEMA_BYTE: ClassVar[int] = 0x82
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = WiringReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("wiring", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Image(Command):
     """Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three
     starts without one the other application is started again.
@@ -2113,6 +2218,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x17: Measure,
     0x18: Samples,
     0x19: Preamble,
+    0x1A: Polarity,
+    0x1C: Wiring,
     0x12: Turntable,
     0x13: TurntableStop,
 }
@@ -2143,6 +2250,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x57: MeasureReply,
     0x58: SamplesReply,
     0x59: PreambleReply,
+    0x5A: PolarityReply,
+    0x5C: WiringReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
 }

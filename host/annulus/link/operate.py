@@ -36,6 +36,7 @@ from annulus.link.messages import (
     ImageWhy,
     Move,
     Pattern,
+    Polarity,
     Stage,
     StageReply,
     StateFlag,
@@ -50,8 +51,11 @@ from annulus.link.messages import (
     TurntableStop,
     TurntableStopped,
     TurntableStopReply,
+    Wiring,
+    WiringReply,
 )
-from annulus.link.problems import configuration_problem
+from annulus.link.pins import AS_WIRED, Pins, pins_text
+from annulus.link.problems import configuration_problem, too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -96,6 +100,7 @@ def status(port: str) -> dict[str, object]:
             "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
             **_image_fields(client),
             **_configuration_fields(client),
+            **_wiring_fields(client),
             **_crash_fields(client),
             **_health(client),
         }
@@ -136,6 +141,14 @@ def _configuration_fields(client: Client) -> dict[str, object]:
     }
 
 
+def _wiring_fields(client: Client) -> dict[str, object]:
+    """Pins that are inverted, and outputs that are driven; null: firmware too old."""
+    found = client.request(Wiring()) if client.session.knows(Wiring) else None
+    if not isinstance(found, WiringReply):
+        return {"pins_inverted": None, "pins_driven": None}
+    return {"pins_inverted": pins_text(found.inverted), "pins_driven": pins_text(found.driven)}
+
+
 def _crash_fields(client: Client) -> dict[str, object]:
     """The last end that nobody asked for, in one line, and what to do with it."""
     last = client.request(Crash()) if client.session.knows(Crash) else None
@@ -174,11 +187,17 @@ def _health(client: Client) -> dict[str, object]:
     }
 
 
-def configure(port: str, stage: Stage) -> dict[str, object]:
-    """Stage, validate, commit. AnnulusError with the controller's reason when it refuses."""
+def configure(port: str, stage: Stage, pins: Pins | None = None) -> dict[str, object]:
+    """Stage, validate, commit. `pins` None: as they are in force. AnnulusError with the controller's reason when it
+    refuses.
+    """
     with Client(port) as client:
         reply = client.request(stage)
         assert isinstance(reply, StageReply)
+        if pins is not None and client.session.knows(Polarity):
+            client.request(pins.polarity(stage.generation))
+        elif pins not in (None, AS_WIRED):
+            raise AnnulusError(f"{port}: {too_old(Polarity)}")
         client.request(Commit(stage.generation))
         verified = _verify(client, port, stage)
         return {

@@ -36,6 +36,9 @@ from annulus.link.messages import (
     MoveReply,
     Ping,
     PingReply,
+    Polarity,
+    PolarityFlag,
+    PolarityReply,
     Preamble,
     PreambleReply,
     Reply,
@@ -47,6 +50,8 @@ from annulus.link.messages import (
     Status,
     StatusCode,
     StatusReply,
+    Wiring,
+    WiringReply,
 )
 
 REPLIES_KEPT = 8
@@ -73,6 +78,7 @@ class ScriptedController:
         self.nonce += 1
         self.edges = 0
         self._staged: Stage | None = None
+        self._staged_inverted = self.inverted = PolarityFlag(0)
         self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
         self._ring: dict[int, Event] = {}
@@ -152,7 +158,8 @@ class ScriptedController:
                 held = self.in_force.generation if self.in_force else 0
                 return StatusReply(*ok, state, self.fault, held, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
             case Info():
-                known = sum(1 << id_ for id_ in COMMANDS).to_bytes(8, "little")
+                ids = (id_ for id_, kind in COMMANDS.items() if self.level >= kind.SINCE)
+                known = sum(1 << id_ for id_ in ids).to_bytes(8, "little")
                 return InfoReply(*ok, self.level, 0, 1, 0, b"0" * 16, known, 0xFF, self.nonce, 0, 0, 1000)
             case Configuration():
                 stage = self.in_force or Stage(0, *[0] * 10)
@@ -161,11 +168,17 @@ class ScriptedController:
             case Preamble(length, interval):
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
-                self._staged = command
+                self._staged, self._staged_inverted = command, self.inverted
                 return StageReply(*ok, generation, 0, 0)
             case Commit(generation):
-                self.in_force = self._staged
+                self.in_force, self.inverted = self._staged, self._staged_inverted
                 return CommitReply(*ok, generation)
+            case Polarity(generation, inverted):
+                self._staged_inverted = inverted
+                return PolarityReply(*ok, generation, inverted)
+            case Wiring():
+                held = self.in_force.generation if self.in_force else 0
+                return WiringReply(*ok, held, self.inverted, PolarityFlag(0))
             case Arm(outputs):
                 self.armed = bool(outputs) and status is StatusCode.OK
                 return ArmReply(*ok, outputs)

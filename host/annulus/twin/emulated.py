@@ -43,6 +43,8 @@ class Board(Protocol):
 
     def wire(self, *wires: tuple[int, int]) -> None: ...
 
+    def pull(self, *pulls: tuple[int, int]) -> None: ...
+
     def serial_write(self, data: bytes) -> int: ...
 
     def serial_read(self) -> bytes: ...
@@ -127,6 +129,10 @@ class EmulatedBoard:
     def wire(self, *wires: tuple[int, int]) -> None:
         """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled up."""
         self._do({"op": "wires", "wires": wires})
+
+    def pull(self, *pulls: tuple[int, int]) -> None:
+        """Resistors outside: (output, level) that its pad shows while nobody drives it."""
+        self._do({"op": "pulls", "pulls": pulls})
 
     def serial_write(self, data: bytes) -> int:
         """Send bytes to the controller's UART at line speed, from now on; all are taken."""

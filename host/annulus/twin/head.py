@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
+from annulus.link.pins import AS_WIRED, Pins, pins_list
 from annulus.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
@@ -65,6 +66,7 @@ class HeadHandle:
     process: "subprocess.Popen[bytes]" = field(repr=False)
     _lines: "queue.SimpleQueue[bytes]" = field(repr=False)
     camera_addresses: tuple[str, ...] = ()  # of all
+    pins: Pins = AS_WIRED
 
     def counters(self) -> dict[str, Any]:
         """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
@@ -131,6 +133,7 @@ def start_head(
     board: str = "native",
     others: Sequence[Faults] = (),
     ground: Ground | None = None,
+    pins: Pins = AS_WIRED,
 ) -> HeadHandle:
     """Start a head in its own process and wait until it can be talked to.
 
@@ -139,6 +142,7 @@ def start_head(
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
     core, two at most. board : native or emulated, the shipped image. others : what the drivers of further cameras do,
     where that is not what the first one's does. ground : what the pipe lies in, for a head with capacitive sectors.
+    pins : how it is wired.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
     """
@@ -154,6 +158,7 @@ def start_head(
         "threads": threads or default_threads(),
         "board": board,
         "ground": None if ground is None else asdict(ground),
+        "pins": asdict(pins),
     }
     process = subprocess.Popen(
         [sys.executable, "-c", "from annulus.twin.process import main; main()"],
@@ -175,7 +180,7 @@ def start_head(
         process.stdin.flush()
         up = json.loads(lines.get(timeout=_START_S))
         cameras = tuple(up["cameras"])
-        return HeadHandle(up["port"], cameras[0], up["sensors"], mode, process, lines, cameras)
+        return HeadHandle(up["port"], cameras[0], up["sensors"], mode, process, lines, cameras, pins)
     except BaseException as error:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)  # what broke it is still being said
@@ -225,7 +230,8 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
     )
     lines = f"""
         [controller]
-        port = "{head.port_url}"{cameras}
+        port = "{head.port_url}"
+        inverted = {json.dumps(pins_list(head.pins.inverted))}{cameras}
         [lamps]
         ratio = 4
         projector_delay_us = {delay_us}
@@ -246,7 +252,7 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
 def run_head(
     fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring",
-    buried_m: float | None = None,
+    buried_m: float | None = None, pins: Pins = AS_WIRED,
 ) -> None:  # fmt: skip
     """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
 
@@ -265,7 +271,7 @@ def run_head(
         len(world.cameras)
     ):  # compiles here, where who waits can be told, and not in the head's process
         Renderer(world, number).render(world.pose(0.0), 0.0, 1.0, rows=(0, 8))
-    with start_head(world, fps, faults, seed=seed, board=board, ground=ground) as running:
+    with start_head(world, fps, faults, seed=seed, board=board, ground=ground, pins=pins) as running:
         if out is None:
             print(head_toml(running, world), flush=True)
         else:

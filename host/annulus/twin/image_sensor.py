@@ -26,12 +26,15 @@ from numpy.typing import NDArray
 from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS, TICKS_PER_US
 from annulus.geometry.pose import Pose
+from annulus.link.messages import PolarityFlag
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.twin.cable import Cable, Stimulus
 from annulus.twin.draws import Draws
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.worlds.world import World
 from annulus.vocabulary import CameraSequence, Lamp
 
+_LAMPS = {PIN_PROJECTOR: PolarityFlag.PROJECTOR, PIN_LED: PolarityFlag.LED}
 UNLIT = 1e-4  # of a lamp's nominal light: less is none
 
 
@@ -99,16 +102,20 @@ class ImageSensor:
         start_tick: int = 0,
         timestamp_offset_us: float | None = None,
         speed_mm_s: float = 0.0,
+        pins: Pins = AS_WIRED,
     ) -> None:
         """timestamp_offset_us: driver's timestamp minus the sync edge; by default the start of the readout, as V4L2.
 
-        speed_mm_s: of the cable from the start on; see `pull`.
+        speed_mm_s: of the cable from the start on; see `pull`. pins: lamps whose drivers are active low, a sync line
+        that rests low.
         """
         self.world = world
         self.timing = timing
         self.faults = faults
         self.clock = clock or HostClock()
         self.offset_us = -timing.readout_us if timestamp_offset_us is None else timestamp_offset_us
+        self._pins = pins
+        self._dark = {pin: int(flag in pins.inverted) for pin, flag in _LAMPS.items()}  # level at which it is
         self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7))
         self._period = timing.period_us * TICKS_PER_US
         self._readout = round(timing.readout_us * TICKS_PER_US)
@@ -145,9 +152,13 @@ class ImageSensor:
             raise ValueError(f"the cable's way up to tick {self._told} is already told, {tick} is too late")
         self.cable.pull(tick, speed_mm_s)
 
+    def is_lit(self, pin: int, level: int) -> bool:
+        """Whether a lamp is, whose gate stands so."""
+        return level != self._dark[pin]
+
     def levels(self) -> list[tuple[int, int]]:
         """(pin, level) of every input as it is now: for a board that has just been powered on again."""
-        return [(PIN_INTERLOCK, 0), (PIN_SYNC, 0), *self.cable.levels()]
+        return [(PIN_INTERLOCK, 0), (PIN_SYNC, self._sync_level(0)), *self.cable.levels()]
 
     def stimuli(self, until: int) -> list[Stimulus]:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
@@ -173,8 +184,9 @@ class ImageSensor:
         """
         told = transitions.tolist() if isinstance(transitions, np.ndarray) else transitions
         for tick, pin, level in told:
-            if pin in self._gates and not (self.faults.flashes_failed and level and self._fails(tick)):
-                self._gates[pin].change(tick, level)
+            lit = pin in self._gates and self.is_lit(pin, level)
+            if pin in self._gates and not (self.faults.flashes_failed and lit and self._fails(tick)):
+                self._gates[pin].change(tick, lit)
         done = []
         while self.edge(self._ended) <= now:
             done.append(self._expose(self._ended))
@@ -226,6 +238,9 @@ class ImageSensor:
         """Whether the lamp does not follow a gate that opens then."""
         return bool(self._draws[2].of(round(tick / self._period)).random() < self.faults.flashes_failed)
 
+    def _sync_level(self, level: int) -> int:
+        return 1 - level if PolarityFlag.SYNC in self._pins.inverted else level
+
     def _sync_of(self, frame: int) -> list[Stimulus]:
         """High from the end of the first line to the end of the last."""
         missing = glitch = False
@@ -237,7 +252,7 @@ class ImageSensor:
         if glitch:
             spike = edge + round(self._period) // 8
             out += [(spike, PIN_SYNC, 1), (spike + 20 * TICKS_PER_US, PIN_SYNC, 0)]
-        return out
+        return [(tick, pin, self._sync_level(level)) for tick, pin, level in out]
 
     @property
     def _history(self) -> int:
@@ -261,7 +276,7 @@ class _Gate:
     on_since: int | None = None
     pulses: list[tuple[int, int]] = field(default_factory=list)
 
-    def change(self, tick: int, level: int) -> None:
+    def change(self, tick: int, level: bool) -> None:
         if level and self.on_since is None:
             self.on_since = tick
         elif not level and self.on_since is not None:

@@ -14,8 +14,10 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
+from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
 from annulus.link.messages import BootCause, Stage
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.link.preamble import preamble_of
 from annulus.link.session import EventsLost, Rebooted
 from annulus.link.stage import stage_from_us
@@ -78,8 +80,9 @@ class SoakWorld:
         without: frozenset[Witness],
         ratio: int = 4,
         world: World | None = None,
+        pins: Pins = AS_WIRED,
     ) -> None:
-        """`world`: a clean pipe in small pictures where none is given."""
+        """`world`: a clean pipe in small pictures where none is given. `pins`: the head's wiring."""
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
         self.period = self.timing.period_us * TICKS_PER_US
@@ -87,17 +90,18 @@ class SoakWorld:
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
         self.sensor = ImageSensor(
             replace(self.world, travel_mm=REACH_MM), self.timing, faults, seed=seed, clock=self.clock,
-            start_tick=MS_TICKS,
+            start_tick=MS_TICKS, pins=pins,
         )  # fmt: skip
         self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
         self.pictures = Pictures(self.world, seed)
         self.line = LossyLine(faults, seed)
         self.board = board
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
+        self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.tick = board.tick  # of the world, now; an emulated one takes time to come up
         stage = soak_configuration(self.timing, self.world, ratio=ratio)
-        self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S))
+        self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S), pins=pins)
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
         mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))

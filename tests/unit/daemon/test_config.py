@@ -16,8 +16,9 @@ from annulus.daemon.config import (
     SocketConfig,
     load_config,
 )
-from annulus.daemon.controller_line import stage_of
+from annulus.daemon.controller_line import pins_for, stage_of
 from annulus.link.head import PING_NS
+from annulus.link.pins import pins_of
 from annulus.vocabulary import AnnulusError
 
 CALIBRATION = {
@@ -248,3 +249,11 @@ draws_ma = 50.0
     assert (sectors.name, sectors.address, sectors.period_ms) == ("capacitance", 0x2A, 20.0)
     assert sectors.settings == {"adc_address": 0x48, "inductance_uh": 22.0}
     assert (lamps.name, lamps.address, lamps.period_ms, lamps.settings) == ("lamps", 0x41, 25.0, {"draws_ma": 50.0})
+
+
+def test_pins_that_may_be_inverted_are_named_and_those_that_watch_never_are(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, '[controller]\nport = "/dev/null"\ninverted = ["sync", "led"]\n'))
+    assert pins_for(config) == pins_of("sync,led") and config.to_dict()["inverted"] == ["sync", "led"]
+    for wrong, why in (('["interlock"]', "a broken wire must say unsafe, expected of sync"), ('"sync"', "a list of")):
+        with pytest.raises(AnnulusError, match=why):
+            load_config(write(tmp_path, f"[controller]\ninverted = {wrong}\n"))

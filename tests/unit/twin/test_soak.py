@@ -2,6 +2,7 @@
 
 import pytest
 
+from annulus.link.pins import pins_of
 from annulus.twin.faults import Faults
 from annulus.twin.soak import soak
 from annulus.vocabulary import AnnulusError
@@ -38,3 +39,8 @@ def test_what_a_soak_cannot_run_is_refused() -> None:
         soak(50)
     with pytest.raises(AnnulusError, match="no such fault file"):
         soak(100, faults="bad-luck")
+
+
+def test_no_label_is_wrong_where_lamps_are_active_low_and_the_sync_rises() -> None:
+    result = soak(250, seed=5, faults="rough", pins=pins_of("sync,projector,led"))
+    assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
