@@ -128,7 +128,7 @@ bool board_transmitted(uint8_t line);
 
 #define POLARITY_LAMPS (POLARITY_PROJECTOR | POLARITY_LED)
 #define POLARITY_BURSTS (POLARITY_MICROWAVE | POLARITY_TRIGGER)
-#define POLARITY_OUTPUTS (POLARITY_LAMPS | POLARITY_BURSTS)
+#define POLARITY_OUTPUTS (POLARITY_LAMPS | POLARITY_BURSTS | POLARITY_CAMERA_TRIGGER)
 
 // From now on these outputs are driven, each at its dark level, which is high for those that are `inverted`; and a sync
 // input among `pins` counts rising edges if it is. Until then, from a reset on, no output of these is driven: a
@@ -190,6 +190,14 @@ typedef struct {
 } board_health_t;
 
 void board_health(board_health_t* health);
+
+// ---- the cameras' clock ----
+
+// Triggers for cameras, one a period; they need no main loop. The end of each is the sync edge from now on, and what
+// the sync input does is nobody's. Width 0: none, and edges are those of the sync input. What runs already goes on
+// without a break. The first one may last longer, and the edge at its end is as good as any. Only while nothing is
+// armed, and after board_polarity.
+void board_camera_trigger(uint32_t period_ticks, uint32_t width_ticks);
 
 // ---- microwave ----
 

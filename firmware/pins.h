@@ -19,13 +19,14 @@ enum {
     PIN_END_HIGH = 12,  // turntable's upper end switch
     PIN_ODOMETER_A = 14,  // quadrature A, four counts a cycle, A first counts up
     PIN_ODOMETER_B = 15,  // quadrature B
+    PIN_CAMERA_TRIGGER = 16,  // trigger of a camera that takes one: lasts as long as it exposes
     PIN_STATUS = 25,  // status light: something is armed
     PIN_COUNT = 26,
 };
 
 // One bit a pin.
 #define INPUT_PINS 0x0000D884U
-#define OUTPUT_PINS 0x02000778U
+#define OUTPUT_PINS 0x02010778U
 #define HIGH_AT_RESET_PINS 0x0000DC87U
 _Static_assert(PIN_LED == PIN_PROJECTOR + 1, "LED next to PROJECTOR: one state machine has both");
 _Static_assert(PIN_TRIGGER == PIN_MICROWAVE + 1, "TRIGGER next to MICROWAVE: one state machine has both");

@@ -97,6 +97,20 @@ void holds_polarity(const controller_t* const self, reply_polarity_t* const repl
     }
 }
 
+uint8_t execute_camera_trigger(controller_t* const self, const command_camera_trigger_t* const command,
+                               reply_camera_trigger_t* const reply)
+{
+    return (self->armed != 0U) ? STATUS_BAD_STATE : sequencer_camera_trigger(&self->sequencer, command, &reply->detail);
+}
+
+void holds_camera_trigger(const controller_t* const self, reply_camera_trigger_t* const reply)
+{
+    if (self->sequencer.is_staged) {
+        reply->generation = self->sequencer.staged.generation;
+        reply->width = self->sequencer.staged_wiring.trigger_ticks;
+    }
+}
+
 uint8_t execute_commit(controller_t* const self, const command_commit_t* const command, reply_commit_t* const reply)
 {
     (void)reply;

@@ -24,6 +24,7 @@ typedef union {
     command_samples_t samples;
     command_preamble_t preamble;
     command_polarity_t polarity;
+    command_camera_trigger_t camera_trigger;
     command_turntable_t turntable;
 } any_command_t;
 
@@ -59,6 +60,7 @@ typedef union {
     reply_samples_t samples;
     reply_preamble_t preamble;
     reply_polarity_t polarity;
+    reply_camera_trigger_t camera_trigger;
     reply_wiring_t wiring;
     reply_turntable_t turntable;
     reply_turntable_stop_t turntable_stop;
@@ -137,6 +139,9 @@ static uint8_t unpack(any_command_t* const command, const uint8_t id, const uint
     case COMMAND_POLARITY:
         command_polarity_unpack(&command->polarity, payload);
         return command_polarity_range(&command->polarity);
+    case COMMAND_CAMERA_TRIGGER:
+        command_camera_trigger_unpack(&command->camera_trigger, payload);
+        return command_camera_trigger_range(&command->camera_trigger);
     case COMMAND_WIRING:
         break;
     case COMMAND_TURNTABLE:
@@ -206,6 +211,8 @@ static uint8_t execute(controller_t* const self, const uint8_t id, const any_com
         return execute_preamble(self, &command->preamble, &reply->preamble);
     case COMMAND_POLARITY:
         return execute_polarity(self, &command->polarity, &reply->polarity);
+    case COMMAND_CAMERA_TRIGGER:
+        return execute_camera_trigger(self, &command->camera_trigger, &reply->camera_trigger);
     case COMMAND_WIRING:
         return execute_wiring(self, &reply->wiring);
     case COMMAND_TURNTABLE:
@@ -310,6 +317,10 @@ static void pack(const controller_t* const self, const uint8_t id, any_reply_t* 
         holds_polarity(self, &reply->polarity);
         reply_polarity_pack(&reply->polarity, answer);
         break;
+    case COMMAND_CAMERA_TRIGGER:
+        holds_camera_trigger(self, &reply->camera_trigger);
+        reply_camera_trigger_pack(&reply->camera_trigger, answer);
+        break;
     case COMMAND_WIRING:
         reply_wiring_pack(&reply->wiring, answer);
         break;
@@ -355,6 +366,7 @@ void dispatch(controller_t* const self, const uint8_t line, const command_t* con
         [COMMAND_SAMPLES] = NEEDS_NOTHING,
         [COMMAND_PREAMBLE] = NEEDS_SCHEMA,
         [COMMAND_POLARITY] = NEEDS_SCHEMA,
+        [COMMAND_CAMERA_TRIGGER] = NEEDS_SCHEMA,
         [COMMAND_WIRING] = NEEDS_NOTHING,
         [COMMAND_TURNTABLE] = NEEDS_SCHEMA,
         [COMMAND_TURNTABLE_STOP] = NEEDS_NOTHING,

@@ -49,6 +49,8 @@ uint8_t execute_preamble(controller_t* self, const command_preamble_t* command, 
 void holds_preamble(const controller_t* self, reply_preamble_t* reply);
 uint8_t execute_polarity(controller_t* self, const command_polarity_t* command, reply_polarity_t* reply);
 void holds_polarity(const controller_t* self, reply_polarity_t* reply);
+uint8_t execute_camera_trigger(controller_t* self, const command_camera_trigger_t* command, reply_camera_trigger_t* reply);
+void holds_camera_trigger(const controller_t* self, reply_camera_trigger_t* reply);
 uint8_t execute_wiring(controller_t* self, reply_wiring_t* reply);
 uint8_t execute_turntable(controller_t* self, const command_turntable_t* command, reply_turntable_t* reply);
 void holds_turntable(const controller_t* self, reply_turntable_t* reply);

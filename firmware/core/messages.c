@@ -866,7 +866,7 @@ uint8_t command_polarity_range(const command_polarity_t* const self)
     if (self->generation < 1U) {
         return 0U;
     }
-    if (self->inverted > 31U) {
+    if (self->inverted > 63U) {
         return 1U;
     }
     return RANGE_OK;
@@ -888,6 +888,42 @@ void reply_polarity_unpack(reply_polarity_t* const self, const uint8_t* const pa
     self->inverted = get8(payload + 3);
 }
 
+void command_camera_trigger_pack(const command_camera_trigger_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->generation);
+    put32(payload + 1, self->width);
+}
+
+void command_camera_trigger_unpack(command_camera_trigger_t* const self, const uint8_t* const payload)
+{
+    self->generation = get8(payload + 0);
+    self->width = get32(payload + 1);
+}
+
+uint8_t command_camera_trigger_range(const command_camera_trigger_t* const self)
+{
+    if (self->generation < 1U) {
+        return 0U;
+    }
+    return RANGE_OK;
+}
+
+void reply_camera_trigger_pack(const reply_camera_trigger_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put32(payload + 3, self->width);
+}
+
+void reply_camera_trigger_unpack(reply_camera_trigger_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->width = get32(payload + 3);
+}
+
 void reply_wiring_pack(const reply_wiring_t* const self, uint8_t* const payload)
 {
     put8(payload + 0, self->status);
@@ -895,6 +931,7 @@ void reply_wiring_pack(const reply_wiring_t* const self, uint8_t* const payload)
     put8(payload + 2, self->generation);
     put8(payload + 3, self->inverted);
     put8(payload + 4, self->driven);
+    put32(payload + 5, self->camera_trigger);
 }
 
 void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payload)
@@ -904,6 +941,7 @@ void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payloa
     self->generation = get8(payload + 2);
     self->inverted = get8(payload + 3);
     self->driven = get8(payload + 4);
+    self->camera_trigger = get32(payload + 5);
 }
 
 void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
@@ -1167,10 +1205,12 @@ static const layout_t layouts[] = {
     {0x58, 37, 0x89, 0, 2},  // reply samples
     {0x19, 4, 0xA2, 0, 2},  // command preamble
     {0x59, 5, 0x39, 0, 2},  // reply preamble
-    {0x1A, 2, 0xE1, 0, 3},  // command polarity
+    {0x1A, 2, 0xD7, 0, 3},  // command polarity
     {0x5A, 4, 0xB9, 0, 3},  // reply polarity
+    {0x1B, 5, 0xBC, 0, 3},  // command camera_trigger
+    {0x5B, 7, 0x99, 0, 3},  // reply camera_trigger
     {0x1C, 0, 0x82, 1, 3},  // command wiring
-    {0x5C, 5, 0x46, 0, 3},  // reply wiring
+    {0x5C, 9, 0x70, 0, 3},  // reply wiring
     {0x12, 17, 0x00, 0, 2},  // command turntable
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
@@ -1215,4 +1255,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x97, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x9F, 0x00, 0x00, 0x00, 0x00};

@@ -36,6 +36,7 @@
 #define BURST_PERIOD_MAX_TICKS 100000000U  // longest burst period; the shortest is the chips and one more
 #define BURST_PERIOD_MIN_TICKS 600U  // and never shorter than this: a burst that is all dark has no duty to say so
 #define BURST_REPEAT_MAX 65535U  // bursts of a train
+#define CAMERA_TRIGGER_MIN_TICKS 100U  // shortest trigger of a camera, and shortest rest between two
 #define TURNTABLE_PERIOD_MIN_TICKS 10000U  // fastest step to step
 #define TURNTABLE_POSITION_MAX_STEPS 500000000U  // farthest from where it stood at reset, either way
 #define TURNTABLE_ACCELERATION_MAX 10000000U  // steps per second, a second
@@ -190,13 +191,14 @@ static inline uint32_t turntable_flags_at_level(const uint8_t level)
 #define POLARITY_LED 4U
 #define POLARITY_MICROWAVE 8U
 #define POLARITY_TRIGGER 16U
+#define POLARITY_CAMERA_TRIGGER 32U
 // Of the flags of `polarity`, those that a host of this level knows.
 static inline uint32_t polarity_flags_at_level(const uint8_t level)
 {
     if (level < 3U) {
         return 0U;
     }
-    return 31U;
+    return 63U;
 }
 
 #define ARM_LAMPS 1U
@@ -255,6 +257,8 @@ enum {
     REPLY_PREAMBLE = 0x59,
     COMMAND_POLARITY = 0x1A,
     REPLY_POLARITY = 0x5A,
+    COMMAND_CAMERA_TRIGGER = 0x1B,
+    REPLY_CAMERA_TRIGGER = 0x5B,
     COMMAND_WIRING = 0x1C,
     REPLY_WIRING = 0x5C,
     COMMAND_TURNTABLE = 0x12,
@@ -813,17 +817,40 @@ typedef struct {
 void reply_polarity_pack(const reply_polarity_t* self, uint8_t* payload);
 void reply_polarity_unpack(reply_polarity_t* self, const uint8_t* payload);
 
+// The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge: it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
+#define COMMAND_CAMERA_TRIGGER_LENGTH 5U
+typedef struct {
+    uint8_t generation;  // of the configuration that is staged
+    uint32_t width;  // ticks, how long each trigger lasts; 0 = none, edges are those of the sync input
+} command_camera_trigger_t;
+void command_camera_trigger_pack(const command_camera_trigger_t* self, uint8_t* payload);
+void command_camera_trigger_unpack(command_camera_trigger_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_camera_trigger_range(const command_camera_trigger_t* self);
+
+// Answer to camera_trigger.
+#define REPLY_CAMERA_TRIGGER_LENGTH 7U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration that is staged; 0 = none
+    uint32_t width;  // ticks, that would be in force with its commit
+} reply_camera_trigger_t;
+void reply_camera_trigger_pack(const reply_camera_trigger_t* self, uint8_t* payload);
+void reply_camera_trigger_unpack(reply_camera_trigger_t* self, const uint8_t* payload);
+
 // What of the pins is in force beside `configuration`.
 #define COMMAND_WIRING_LENGTH 0U
 
 // Answer to wiring.
-#define REPLY_WIRING_LENGTH 5U
+#define REPLY_WIRING_LENGTH 9U
 typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
     uint8_t generation;  // of the configuration in force; 0 = none
     uint8_t inverted;
     uint8_t driven;  // outputs that are driven: see protocol/README.md
+    uint32_t camera_trigger;  // ticks, how long each lasts; 0 = none
 } reply_wiring_t;
 void reply_wiring_pack(const reply_wiring_t* self, uint8_t* payload);
 void reply_wiring_unpack(reply_wiring_t* self, const uint8_t* payload);

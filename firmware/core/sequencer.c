@@ -16,6 +16,8 @@ enum {
     FIELD_LED_WIDTH = 10,
 };
 
+#define FIELD_TRIGGER_WIDTH 1U  // of CAMERA_TRIGGER
+
 static uint32_t tolerance_ticks(const command_stage_t* const config)
 {
     return (uint32_t)(((uint64_t)config->frame_period * config->tolerance) / 1000U);
@@ -95,8 +97,12 @@ static void put_in_force(sequencer_t* const self, events_t* const events, const 
         self->synced = false;  // to be found again at the new period
     }
     self->config = self->staged;
+    if (((self->wiring.inverted ^ self->staged_wiring.inverted) & POLARITY_CAMERA_TRIGGER) != 0U) {
+        board_camera_trigger(self->config.frame_period, 0U);  // else a pin that is followed would be turned over
+    }
     self->wiring = self->staged_wiring;
     board_polarity(POLARITY_SYNC | POLARITY_OUTPUTS, self->wiring.inverted);
+    board_camera_trigger(self->config.frame_period, self->wiring.trigger_ticks);
     self->is_staged = false;
     self->is_committed = false;
     event_configured_pack(
@@ -299,6 +305,9 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
     }
     self->staged = *config;
     self->staged_wiring = self->wiring;  // a host that knows nothing of it changes nothing of it
+    if (self->wiring.trigger_ticks + CAMERA_TRIGGER_MIN_TICKS > config->frame_period) {
+        self->staged_wiring.trigger_ticks = 0;  // but for what its period leaves no room for
+    }
     self->is_staged = true;
     reply->generation = config->generation;
     return STATUS_OK;
@@ -313,6 +322,30 @@ bool sequencer_polarity(sequencer_t* const self, const command_polarity_t* const
     return true;
 }
 
+uint8_t sequencer_camera_trigger(sequencer_t* const self, const command_camera_trigger_t* const config,
+                                 uint8_t* const detail)
+{
+    if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
+        return STATUS_BAD_STATE;
+    }
+    const uint32_t least = CAMERA_TRIGGER_MIN_TICKS;
+    if ((config->width != 0U) && ((config->width < least) || (config->width > self->staged.frame_period - least))) {
+        *detail = FIELD_TRIGGER_WIDTH;
+        return STATUS_OUT_OF_RANGE;
+    }
+    self->staged_wiring.trigger_ticks = config->width;
+    return STATUS_OK;
+}
+
+// Does the staged configuration change what the pins do by themselves?
+static bool rewires(const sequencer_t* const self)
+{
+    const wiring_t* const staged = &self->staged_wiring;
+    const bool other_period = self->staged.frame_period != self->config.frame_period;
+    return (staged->inverted != self->wiring.inverted) || (staged->trigger_ticks != self->wiring.trigger_ticks) ||
+           ((staged->trigger_ticks != 0U) && other_period);
+}
+
 // An output whose polarity changes changes its level at once, lit or dark: so nothing may be armed, and what is armed
 // later finds it in force.
 bool sequencer_commit(sequencer_t* const self, const uint8_t generation, const bool live)
@@ -320,7 +353,7 @@ bool sequencer_commit(sequencer_t* const self, const uint8_t generation, const b
     if (!self->is_staged || (self->staged.generation != generation)) {
         return false;
     }
-    if (live && (self->staged_wiring.inverted != self->wiring.inverted)) {
+    if (live && rewires(self)) {
         return false;
     }
     self->is_committed = true;

@@ -26,7 +26,8 @@ typedef struct {
 
 // What goes with a configuration and is no field of `stage`.
 typedef struct {
-    uint8_t inverted;  // POLARITY_*
+    uint8_t inverted;        // POLARITY_*
+    uint32_t trigger_ticks;  // how long a camera's trigger lasts; 0 = none
 } wiring_t;
 
 // What is small comes first: the processor reaches it with one instruction.
@@ -72,6 +73,10 @@ uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_
 
 // Which pins are inverted with the configuration that is staged. False: it is another, or it is committed already.
 bool sequencer_polarity(sequencer_t* self, const command_polarity_t* config);
+
+// How long a trigger for cameras lasts with the configuration that is staged. A status; on refusal `detail` says which
+// field.
+uint8_t sequencer_camera_trigger(sequencer_t* self, const command_camera_trigger_t* config, uint8_t* detail);
 
 // Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged; or it
 // changes the wiring while something is `live`.

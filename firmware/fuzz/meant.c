@@ -109,7 +109,8 @@ void meant_payload(const layout_t* const layout, const uint8_t bytes[const PAYLO
                           payload);
         break;
     case COMMAND_UPDATE_BEGIN: {
-        command_update_begin_t begin = {.size = APPLICATION_BYTES, .crc = application_word(application() + APPLICATION_BYTES - 4U)};
+        command_update_begin_t begin = {.size = APPLICATION_BYTES,
+                                        .crc = application_word(application() + APPLICATION_BYTES - 4U)};
         memcpy(begin.board, "native", sizeof "native" - 1U);
         command_update_begin_pack(&begin, payload);
         break;

@@ -92,6 +92,11 @@ void measure_start(void);
 void measure_before(void);                       // any pin changes its level
 void measure_after(uint8_t pin, uint8_t level);  // this one did
 
+void camera_trigger_start(void);
+bool camera_trigger_runs(void);  // the sync input is nobody's
+uint64_t camera_trigger_time(void);
+void camera_trigger_step(void);
+
 void turntable_start(void);
 uint64_t turntable_time(void);
 void turntable_step(void);

@@ -20,11 +20,10 @@ static uint8_t inverted_now;
 
 static uint8_t polarity_of(const uint8_t pin)
 {
-    static const uint8_t flags[PIN_COUNT] = {[PIN_SYNC] = POLARITY_SYNC,
-                                             [PIN_PROJECTOR] = POLARITY_PROJECTOR,
-                                             [PIN_LED] = POLARITY_LED,
-                                             [PIN_MICROWAVE] = POLARITY_MICROWAVE,
-                                             [PIN_TRIGGER] = POLARITY_TRIGGER};
+    static const uint8_t flags[PIN_COUNT] = {
+        [PIN_SYNC] = POLARITY_SYNC,       [PIN_PROJECTOR] = POLARITY_PROJECTOR,
+        [PIN_LED] = POLARITY_LED,         [PIN_MICROWAVE] = POLARITY_MICROWAVE,
+        [PIN_TRIGGER] = POLARITY_TRIGGER, [PIN_CAMERA_TRIGGER] = POLARITY_CAMERA_TRIGGER};
     return flags[pin];
 }
 
@@ -119,7 +118,7 @@ void board_polarity(const uint8_t pins, const uint8_t inverted)
             settle(pin);
         }
     }
-    if ((sync == 1U) && (pinuse_seen(PIN_SYNC) == 0U)) {
+    if ((sync == 1U) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
         lamps_edge();  // whoever looks sees it fall
     }
 }

@@ -18,6 +18,7 @@ void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
 void microwave_start(void);
 void turntable_start(void);
+void camera_trigger_start(void);
 void usb_start(void);
 
 // The gates that are driven: at their dark level now, whatever PIO does.
@@ -54,6 +55,7 @@ bool microwave_hurries(void);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
+void pinuse_count_sync(bool counts);  // or edges of the sync input are nobody's
 
 // The odometer: its machine of PIO1, and transitions as its DMA counts them. `odometer_decode`: the place there.
 // It hands all that and its ring to whoever measures, standing still until it is started again.
@@ -120,12 +122,17 @@ enum {
     DMA_CHIPS = 3,
     DMA_TRIGGER = 4,
     DMA_STEPS = 5,
-    DMA_ODOMETER_AGAIN = 6
+    DMA_ODOMETER_AGAIN = 6,
+    DMA_CAMERA = 7,
+    DMA_CAMERA_AGAIN = 8
 };
-enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                            // PIO0
+enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2, CAMERA_MACHINE = 3 };        // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
-// Entry points of the programs that more than one file needs: the turntable borrows the lamps' pulse.
+// The pin whose falling edges are the sync edges from now on; it must stand high. No flash is loaded afterwards.
+void lamps_follow(uint32_t pin);
+
+// Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
 #define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
 

@@ -23,6 +23,7 @@ enum {
     STOPS_LOOKING = 4,
     HOLD = 11,
     LOOKS_AGAIN = 14,
+    LAMP_WAITS = 22,
     TAKEN = 26,
     LAMP_WIDTH = 29,
     PROGRAM_LENGTH = 32
@@ -53,7 +54,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     MOV_Y_OSR,
     [LAMP_LAST_PULL] = PULL,
     WAIT_FLAG(LOOK),
-    WAIT_PIN_HIGH(PIN_SYNC),
+    [LAMP_WAITS] = WAIT_PIN_HIGH(PIN_SYNC),
     WAIT_PIN_LOW(PIN_SYNC),
     MOV_ISR_OSR | DELAY(1U),
     WAIT_FLAG(ACCEPTED),
@@ -260,6 +261,16 @@ static void withdraw(void)
     }
     lamps.loaded = false;
     REGISTER(PIO_MEMORY(PIO0, TAKEN)) = program[TAKEN];
+}
+
+// Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
+void lamps_follow(const uint32_t pin)
+{
+    board_lamps_cut();
+    REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(pin) | EXEC_WRAP(HIGH, HIGH + 1U);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS)) = WAIT_PIN_HIGH(pin);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS + 1U)) = WAIT_PIN_LOW(pin);
+    pinuse_count_sync(pin == PIN_SYNC);
 }
 
 static uint32_t holdoff_count(const uint32_t ticks)

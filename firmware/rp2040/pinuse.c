@@ -14,7 +14,8 @@ static const struct {
 } gates[] = {{POLARITY_PROJECTOR, PIN_PROJECTOR, FUNCTION_PIO0},
              {POLARITY_LED, PIN_LED, FUNCTION_PIO0},
              {POLARITY_MICROWAVE, PIN_MICROWAVE, FUNCTION_PIO1},
-             {POLARITY_TRIGGER, PIN_TRIGGER, FUNCTION_PIO1}};
+             {POLARITY_TRIGGER, PIN_TRIGGER, FUNCTION_PIO1},
+             {POLARITY_CAMERA_TRIGGER, PIN_CAMERA_TRIGGER, FUNCTION_PIO0}};
 #define GATES (sizeof gates / sizeof gates[0])
 
 static uint8_t gates_driven;
@@ -44,8 +45,9 @@ void pio_load(const uint32_t pio, const uint32_t first, const uint16_t* const pr
 static void drive_gate(const size_t gate, const bool inverted)
 {
     const uint32_t pin = gates[gate].pin;
-    const uint32_t over = inverted ? OUT_INVERT : 0U;
-    const uint32_t looks = REGISTER(PAD(pin)) & PAD_INPUT;  // whoever measures goes on
+    const bool followed = gates[gate].flag == POLARITY_CAMERA_TRIGGER;  // by the sync follower: as if never inverted
+    const uint32_t over = inverted ? OUT_INVERT | (followed ? IN_INVERT : 0U) : 0U;
+    const uint32_t looks = followed ? PAD_INPUT : REGISTER(PAD(pin)) & PAD_INPUT;  // whoever measures goes on
     REGISTER(GPIO_CTRL(pin)) = FUNCTION_NONE | over;
     REGISTER(PAD(pin)) = PAD_DRIVE_4MA | (inverted ? PAD_PULL_UP : PAD_PULL_DOWN) | looks;
     REGISTER(GPIO_CTRL(pin)) = gates[gate].function | over;
@@ -90,7 +92,7 @@ void pinuse_darken(void)
 // Counts what the sync follower may refuse, and remembers an interlock that opened however briefly.
 void pins_handler(void)
 {
-    const uint32_t edges = REGISTER(IO_INTR0) & (EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK));
+    const uint32_t edges = REGISTER(IO_INTR0) & REGISTER(IO_PROC0_INTE0);
     REGISTER(IO_INTR0) = edges;
     if ((edges & EDGE_LOW(PIN_SYNC)) != 0U) {
         sync_edges = sync_edges + 1U;
@@ -112,6 +114,13 @@ uint32_t pinuse_sync_edges(const uint32_t accepted)
     const uint32_t counted = sync_edges;
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
     return counted;
+}
+
+void pinuse_count_sync(const bool counts)
+{
+    const uint32_t edges = EDGE_HIGH(PIN_INTERLOCK) | (counts ? EDGE_LOW(PIN_SYNC) : 0U);
+    REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC);
+    REGISTER(IO_PROC0_INTE0) = edges;
 }
 
 bool board_interlock_open(void)

@@ -117,6 +117,7 @@ __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t
     lamps_start();
     microwave_start();
     turntable_start();
+    camera_trigger_start();
     usb_start();
     controller_start(&controller);
     for (;;) {

@@ -41,6 +41,7 @@ int main(void)
     queries_tests();
     configuration_tests();
     polarity_tests();
+    camera_trigger_tests();
     ranges_tests();
     sequencer_tests();
     lamps_tests();

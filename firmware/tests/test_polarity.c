@@ -84,7 +84,8 @@ static void a_stage_without_polarity_keeps_the_one_in_force(void)
     reply_wiring_unpack(&reply, rig_command(COMMAND_WIRING, NULL));
     EXPECT_EQ(reply.generation, 2);
     EXPECT_EQ(reply.inverted, POLARITY_LED | POLARITY_TRIGGER);
-    EXPECT_EQ(reply.driven, POLARITY_PROJECTOR | POLARITY_LED | POLARITY_MICROWAVE | POLARITY_TRIGGER);
+    EXPECT_EQ(reply.driven,
+              POLARITY_PROJECTOR | POLARITY_LED | POLARITY_MICROWAVE | POLARITY_TRIGGER | POLARITY_CAMERA_TRIGGER);
     EXPECT_EQ(rig_status_of(COMMAND_POLARITY, (const uint8_t[]){0, 0}), STATUS_OUT_OF_RANGE);
 }
 

@@ -33,6 +33,7 @@ CHIP_MAX_TICKS = 3000  # longest
 BURST_PERIOD_MAX_TICKS = 100000000  # longest burst period; the shortest is the chips and one more
 BURST_PERIOD_MIN_TICKS = 600  # and never shorter than this: a burst that is all dark has no duty to say so
 BURST_REPEAT_MAX = 65535  # bursts of a train
+CAMERA_TRIGGER_MIN_TICKS = 100  # shortest trigger of a camera, and shortest rest between two
 TURNTABLE_PERIOD_MIN_TICKS = 10000  # fastest step to step
 TURNTABLE_POSITION_MAX_STEPS = 500000000  # farthest from where it stood at reset, either way
 TURNTABLE_ACCELERATION_MAX = 10000000  # steps per second, a second
@@ -54,9 +55,20 @@ PIN_END_LOW = 11  # turntable's lower end switch: closed = low, reached or broke
 PIN_END_HIGH = 12  # turntable's upper end switch
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
+PIN_CAMERA_TRIGGER = 16  # trigger of a camera that takes one: lasts as long as it exposes
 PIN_STATUS = 25  # status light: something is armed
 INPUT_PINS = (PIN_SYNC, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
-OUTPUT_PINS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_STATUS)
+OUTPUT_PINS = (
+    PIN_PROJECTOR,
+    PIN_LED,
+    PIN_MICROWAVE,
+    PIN_TRIGGER,
+    PIN_STEP,
+    PIN_DIRECTION,
+    PIN_ENABLE,
+    PIN_CAMERA_TRIGGER,
+    PIN_STATUS,
+)
 
 CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first
     "single": "1",

@@ -240,7 +240,9 @@ def controller_module(protocol: Protocol) -> str:
     out += [f"PIN_{name.upper()} = {pin.number}  # {pin.what}" for name, pin in protocol.pins.items()]
     for use in ("in", "out"):
         names = ", ".join(f"PIN_{name.upper()}" for name, pin in protocol.pins.items() if pin.use == use)
-        out.append(f"{use.upper()}PUT_PINS = ({names})")
+        one_line = f"{use.upper()}PUT_PINS = ({names})"
+        lines = [f"{use.upper()}PUT_PINS = (", *(f"    {name}," for name in names.split(", ")), ")"]
+        out += [one_line] if len(one_line) <= 120 else lines
     out += ["", "CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first"]
     out += [f'    "{name.replace("_", "-")}": "{chips}",' for name, chips in protocol.codes.items()]
     return "\n".join([*out, "}", ""])

@@ -29,7 +29,7 @@ from annulus.link.messages import (
 )
 
 GATES = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER)
-OUTPUTS = PolarityFlag(30)  # all of them
+OUTPUTS = PolarityFlag(62)  # all of them
 RESET_MAGIC = 0x7E5E7B00
 
 

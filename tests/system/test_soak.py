@@ -27,3 +27,10 @@ def test_no_label_is_wrong_on_a_head_of_active_low_lamps_and_a_sync_that_rises()
     result = soak(20_000, seed=1, faults="all", pins=ACTIVE_LOW)
     assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
     assert result["unknown"] <= 0.025 * 20_000 and result["untold"] == 0
+
+
+@pytest.mark.timeout(600)
+def test_no_label_is_wrong_where_the_controller_triggers_the_camera() -> None:
+    result = soak(20_000, seed=1, faults="all", trigger="xtrig")
+    assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
+    assert result["unknown"] <= 0.03 * 20_000 and result["untold"] == 0

@@ -18,8 +18,9 @@ export const PIN = {
   END_HIGH: 12, // turntable's upper end switch
   ODOMETER_A: 14, // quadrature A, four counts a cycle, A first counts up
   ODOMETER_B: 15, // quadrature B
+  CAMERA_TRIGGER: 16, // trigger of a camera that takes one: lasts as long as it exposes
   STATUS: 25, // status light: something is armed
 };
 export const INPUT_PINS = [2, 7, 11, 12, 14, 15];
-export const OUTPUT_PINS = [3, 4, 5, 6, 8, 9, 10, 25];
+export const OUTPUT_PINS = [3, 4, 5, 6, 8, 9, 10, 16, 25];
 export const OUTPUTS_HIGH_AT_RESET = [10];

@@ -12,6 +12,7 @@ from annulus.cli.show import Json, group, print_fields, progress
 app = group("The simulated head.")
 
 Inverted = Annotated[str, typer.Option(help="Pins whose wiring wants the other level, as sync,projector,led.")]
+Trigger = Annotated[str, typer.Option(help="What the camera takes: none, xtrig (Global Shutter camera), pulse.")]
 Board = Annotated[
     str, typer.Option(help="native: the core in this process; emulated: the shipped image on an emulated RP2040.")
 ]
@@ -39,6 +40,7 @@ def run(
         typer.Option(min=5.0, max=100.0, help="Pipe in the ground, so long, with sewers; the head has sectors."),
     ] = None,
     inverted: Inverted = "none",
+    trigger: Trigger = "none",
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
     from annulus.link.pins import pins_of
@@ -46,7 +48,7 @@ def run(
 
     run_head(
         fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m,
-        pins=pins_of(inverted),
+        pins=pins_of(inverted), trigger=trigger,
     )  # fmt: skip
 
 
@@ -88,6 +90,7 @@ def soak(
     jobs: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one a core.")] = 0,
     board: Board = "native",
     inverted: Inverted = "none",
+    trigger: Trigger = "none",
     as_json: Json = False,
 ) -> None:
     """Labels and places under faults in virtual time: real firmware, link and labelling, scored against truth."""
@@ -107,6 +110,7 @@ def soak(
             jobs=jobs or None,
             progress=report,
             pins=pins_of(inverted),
+            trigger=trigger,
         )
     if as_json:
         print(json.dumps(result))

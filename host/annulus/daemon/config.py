@@ -9,7 +9,7 @@ from typing import Any, cast
 from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
-from annulus.daemon.wiring import inverted_pins
+from annulus.daemon.wiring import check_triggers, inverted_pins, trigger_of
 from annulus.geometry.calibration import Calibration
 from annulus.job import WORDS, JobSheet, provenance
 from annulus.record.calibration_file import load_calibration, load_part, load_sections
@@ -139,7 +139,7 @@ class HeadConfig:
     @property
     def timing(self) -> FrameTiming:
         """All cameras' together: what a flash must fit so that every row of every camera sees all of it."""
-        modes = [camera.timing for camera in self.cameras]
+        modes = [camera.flash_timing for camera in self.cameras]
         return FrameTiming(
             modes[0].fps, min(mode.exposure_us for mode in modes), max(mode.readout_us for mode in modes)
         )
@@ -177,6 +177,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "fps",
         "exposure_us",
         "readout_us",
+        "trigger",
         "colour_gains",
     ),
     "lamps": tuple(field.name for field in fields(LampConfig)),
@@ -225,6 +226,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         raise ValueError(f"{len(cameras)} [[camera]] sections, expected at most {CAMERAS_MAX}")
     if len({camera.timing.fps for camera in cameras}) > 1:
         raise ValueError("[camera] fps differs from camera to camera, but they share one frame-sync")
+    check_triggers(cameras)
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
     paint = _optional(data, "calibration", "colour")
     workers, control = data.get("workers", {}), data.get("control", {})
@@ -299,6 +301,7 @@ def _camera(content: Mapping[str, Any]) -> CameraConfig:
             _number(content, "camera", "exposure_us", usual.timing.exposure_us, 1.0, 1e6),
             _number(content, "camera", "readout_us", usual.timing.readout_us, 0.0, 1e6),
         ),
+        trigger_of(content),
         _gains(content),
     )
 

@@ -29,6 +29,7 @@ REOPEN_S = 1.0
 DISARM_S = 0.5
 CONFIGURE_S = 1.0
 TOLERANCE_PERMILLE = 100  # of the frame period, in which an edge is taken for one
+TRIGGERED_PERMILLE = 5  # where the controller makes the edges itself: the exposure lies before them, and so do flashes
 CONFIRMED = (Phase.IDLE, Phase.STOPPED)  # that it is dark
 DARK = (*CONFIRMED, Phase.REFUSED, Phase.MISMATCH)
 TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
@@ -242,20 +243,24 @@ def check_lamps(config: HeadConfig, *, window: bool) -> None:
     lamps, timing = config.lamps, config.timing
     if window:
         lamps.check(timing)
-    longest = min(LAMP_WIDTH_MAX_TICKS / TICKS_PER_US, LAMP_DUTY_MAX_PERMILLE / 1e3 * _shortest_us(timing.period_us))
+    longest = min(LAMP_WIDTH_MAX_TICKS / TICKS_PER_US, LAMP_DUTY_MAX_PERMILLE / 1e3 * _shortest_us(config))
     for lamp, delay, width in (
         ("projector flash", lamps.projector_delay_us, lamps.projector_width_us),
         ("LED flash", lamps.led_delay_us, lamps.led_width_us),
     ):
         if width > longest:
             raise AnnulusError(f"{lamp} of {width:g} us: the controller fires no longer than {longest:g} us")
-        if delay + width > _shortest_us(timing.period_us):
+        if delay + width > _shortest_us(config):
             raise AnnulusError(f"{lamp} {delay:g}..{delay + width:g} us reaches into the next frame")
 
 
-def _shortest_us(period_us: float) -> float:
+def tolerance_permille(config: HeadConfig) -> int:
+    return TOLERANCE_PERMILLE if config.cameras[0].trigger == "none" else TRIGGERED_PERMILLE
+
+
+def _shortest_us(config: HeadConfig) -> float:
     """From one edge to the next that the controller takes for one."""
-    return period_us * (1 - TOLERANCE_PERMILLE / 1000)
+    return config.timing.period_us * (1 - tolerance_permille(config) / 1000)
 
 
 def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
@@ -268,7 +273,7 @@ def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
         ratio=lamps.ratio, period_us=timing.period_us,
         exposure_us=timing.exposure_us if window else timing.period_us, readout_us=timing.readout_us if window else 0.0,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
-        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=TOLERANCE_PERMILLE,
+        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=tolerance_permille(config),
     )  # fmt: skip
     return replace(stage, host_timeout=lamps.host_timeout_ms)
 
@@ -283,7 +288,10 @@ def preamble_for(config: HeadConfig) -> Preamble | None:
 
 def pins_for(config: HeadConfig) -> Pins:
     """What head.toml says of the wiring."""
-    return Pins(pins_named(config.inverted))
+    pins, trigger = Pins(pins_named(config.inverted)), config.cameras[0].trigger
+    if trigger == "none":
+        return pins
+    return pins.triggering(trigger, round(config.timing.exposure_us * TICKS_PER_US))
 
 
 def line_numbers(line: ControllerLine | None) -> dict[str, object]:

@@ -19,6 +19,7 @@ from annulus.link.clock import ClockMap
 from annulus.link.messages import (
     Arm,
     ArmFlag,
+    CameraTrigger,
     Clear,
     Command,
     Commit,
@@ -63,7 +64,13 @@ PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
-ADDED = (Configuration, Preamble, Polarity, Wiring)  # commands that a controller of level 1 does not have
+ADDED = (
+    Configuration,
+    Preamble,
+    Polarity,
+    CameraTrigger,
+    Wiring,
+)  # which a controller of level 1 does not have
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 
@@ -237,6 +244,8 @@ class HeadControl:
                 return replace(self._configuration, generation=self._generation)
             case Phase.WIRING:
                 return self._pins.polarity(self._generation)
+            case Phase.TRIGGERING:
+                return self._pins.trigger(self._generation)
             case Phase.COMMITTING:
                 return Commit(self._generation)
             case Phase.VERIFYING:
@@ -266,6 +275,8 @@ class HeadControl:
     def _go_on_from(self, phase: Phase) -> None:
         """With what is in force: preambles, then the lamps."""
         if phase is Phase.WIRING:
+            self._enter(Phase.TRIGGERING)
+        elif phase is Phase.TRIGGERING:
             self._enter(Phase.COMMITTING)
         elif phase is Phase.VERIFYING and self.session.knows(Wiring):
             self._enter(Phase.CONFIRMING)
@@ -309,8 +320,8 @@ class HeadControl:
                 self._enter(Phase.STAGING)
             case Stage():
                 self._enter(Phase.WIRING)
-            case Polarity():
-                self._enter(Phase.COMMITTING)
+            case Polarity() | CameraTrigger():
+                self._go_on_from(self.phase)
             case Commit():
                 self._committed = True
                 self._enter(Phase.VERIFYING)

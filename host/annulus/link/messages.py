@@ -132,6 +132,7 @@ class PolarityFlag(IntFlag):
     LED = 4
     MICROWAVE = 8
     TRIGGER = 16
+    CAMERA_TRIGGER = 32
 
 
 class ArmFlag(IntFlag):
@@ -1118,27 +1119,67 @@ class PolarityReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
-class WiringReply(Reply):
-    """Answer to wiring."""
+class CameraTriggerReply(Reply):
+    """Answer to camera_trigger."""
 
-    ID: ClassVar[int] = 0x5C
-    SCHEMA_BYTE: ClassVar[int] = 0x46
+    ID: ClassVar[int] = 0x5B
+    SCHEMA_BYTE: ClassVar[int] = 0x99
     SINCE: ClassVar[int] = 3
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBB")
-    LENGTH: ClassVar[int] = 5
-    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "inverted", "driven")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBI")
+    LENGTH: ClassVar[int] = 7
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "width")
 
-    generation: int  # of the configuration in force; 0 = none
-    inverted: PolarityFlag
-    driven: PolarityFlag  # outputs that are driven: see protocol/README.md
+    generation: int  # of the configuration that is staged; 0 = none
+    width: int  # ticks; that would be in force with its commit
 
     def pack(self) -> bytes:
-        return _pack("wiring", self.LAYOUT, self.status, self.detail, self.generation, self.inverted, self.driven)
+        return _pack("camera_trigger", self.LAYOUT, self.status, self.detail, self.generation, self.width)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]))
+        return cls(StatusCode(v[0]), v[1], v[2], v[3])
+
+
+@dataclass(frozen=True, slots=True)
+class WiringReply(Reply):
+    """Answer to wiring."""
+
+    ID: ClassVar[int] = 0x5C
+    SCHEMA_BYTE: ClassVar[int] = 0x70
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBI")
+    LENGTH: ClassVar[int] = 9
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "generation",
+        "inverted",
+        "driven",
+        "camera_trigger",
+    )
+
+    generation: int  # of the configuration in force; 0 = none
+    inverted: PolarityFlag
+    driven: PolarityFlag  # outputs that are driven: see protocol/README.md
+    camera_trigger: int  # ticks; how long each lasts; 0 = none
+
+    def pack(self) -> bytes:
+        return _pack(
+            "wiring",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.generation,
+            self.inverted,
+            self.driven,
+            self.camera_trigger,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]), v[5])
 
 
 @dataclass(frozen=True, slots=True)
@@ -1872,7 +1913,7 @@ class Polarity(Command):
     """
 
     ID: ClassVar[int] = 0x1A
-    SCHEMA_BYTE: ClassVar[int] = 0xE1
+    SCHEMA_BYTE: ClassVar[int] = 0xD7
     SINCE: ClassVar[int] = 3
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
     LENGTH: ClassVar[int] = 2
@@ -1890,6 +1931,34 @@ class Polarity(Command):
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
         return cls(v[0], PolarityFlag(v[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTrigger(Command):
+    """The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at
+    its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge:
+    it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
+    """
+
+    ID: ClassVar[int] = 0x1B
+    SCHEMA_BYTE: ClassVar[int] = 0xBC
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "width")
+    REPLY: ClassVar[type[Reply]] = CameraTriggerReply
+    QUERY: ClassVar[bool] = False
+
+    generation: int  # of the configuration that is staged
+    width: int  # ticks; how long each trigger lasts; 0 = none, edges are those of the sync input
+
+    def pack(self) -> bytes:
+        return _pack("camera_trigger", self.LAYOUT, self.generation, self.width)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -2219,6 +2288,7 @@ COMMANDS: dict[int, type[Command]] = {
     0x18: Samples,
     0x19: Preamble,
     0x1A: Polarity,
+    0x1B: CameraTrigger,
     0x1C: Wiring,
     0x12: Turntable,
     0x13: TurntableStop,
@@ -2251,6 +2321,7 @@ REPLIES: dict[int, type[Reply]] = {
     0x58: SamplesReply,
     0x59: PreambleReply,
     0x5A: PolarityReply,
+    0x5B: CameraTriggerReply,
     0x5C: WiringReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,

@@ -145,8 +145,12 @@ def _wiring_fields(client: Client) -> dict[str, object]:
     """Pins that are inverted, and outputs that are driven; null: firmware too old."""
     found = client.request(Wiring()) if client.session.knows(Wiring) else None
     if not isinstance(found, WiringReply):
-        return {"pins_inverted": None, "pins_driven": None}
-    return {"pins_inverted": pins_text(found.inverted), "pins_driven": pins_text(found.driven)}
+        return {"pins_inverted": None, "pins_driven": None, "camera_trigger_us": None}
+    return {
+        "pins_inverted": pins_text(found.inverted),
+        "pins_driven": pins_text(found.driven),
+        "camera_trigger_us": found.camera_trigger / TICKS_PER_US,
+    }
 
 
 def _crash_fields(client: Client) -> dict[str, object]:
@@ -196,6 +200,7 @@ def configure(port: str, stage: Stage, pins: Pins | None = None) -> dict[str, ob
         assert isinstance(reply, StageReply)
         if pins is not None and client.session.knows(Polarity):
             client.request(pins.polarity(stage.generation))
+            client.request(pins.trigger(stage.generation))
         elif pins not in (None, AS_WIRED):
             raise AnnulusError(f"{port}: {too_old(Polarity)}")
         client.request(Commit(stage.generation))

@@ -13,6 +13,7 @@ class Phase(StrEnum):
     DISARMING = "disarming"
     STAGING = "staging"
     WIRING = "wiring"  # says which pins are inverted
+    TRIGGERING = "triggering"  # says how cameras are triggered
     COMMITTING = "committing"
     VERIFYING = "verifying"  # reads back what is in force ..
     CONFIRMING = "confirming"  # .. and which pins are inverted with it

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_TRIGGER
-from annulus.link.messages import Polarity, PolarityFlag, WiringReply
+from annulus.controller import PIN_CAMERA_TRIGGER, PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_TRIGGER, TICKS_PER_US
+from annulus.link.messages import CameraTrigger, Polarity, PolarityFlag, WiringReply
 from annulus.untrusted import shown
 from annulus.vocabulary import AnnulusError
 
@@ -18,18 +18,34 @@ NONE = PolarityFlag(0)
 
 @dataclass(frozen=True, slots=True)
 class Pins:
-    """`inverted`: pins whose driver, or source, means the other level."""
+    """`inverted`: pins whose driver, or source, means the other level. `trigger_ticks`: how long a trigger for cameras
+    lasts; 0: cameras run by themselves.
+    """
 
     inverted: PolarityFlag = NONE
+    trigger_ticks: int = 0
+
+    def triggering(self, trigger: str, ticks: int) -> "Pins":
+        """With triggers that last so long, for a camera of this kind of daemon.camera_config.Trigger."""
+        low = PolarityFlag.CAMERA_TRIGGER if trigger == "xtrig" else NONE  # whoever inverts it on the way says so
+        return Pins(self.inverted ^ low, ticks)
 
     def polarity(self, generation: int) -> Polarity:
         """What says so, of the configuration that is staged."""
         return Polarity(generation, self.inverted)
 
+    def trigger(self, generation: int) -> CameraTrigger:
+        return CameraTrigger(generation, self.trigger_ticks)
+
     def problem(self, found: WiringReply, generation: int) -> str:
         """Empty when this is in force with that configuration; else one line."""
-        if (found.generation, found.inverted) == (generation, self.inverted):
+        if (found.generation, found.inverted, found.camera_trigger) == (generation, self.inverted, self.trigger_ticks):
             return ""
+        if found.inverted == self.inverted:
+            return (
+                f"the camera trigger with configuration {found.generation} is {found.camera_trigger / TICKS_PER_US:g}"
+                f" us, expected {self.trigger_ticks / TICKS_PER_US:g} us with {generation}"
+            )
         return (
             f"the pins inverted with configuration {found.generation} are {pins_text(found.inverted)}, expected"
             f" {pins_text(self.inverted)} with {generation}"
@@ -46,6 +62,7 @@ OUTPUTS = {
     PolarityFlag.LED: PIN_LED,
     PolarityFlag.MICROWAVE: PIN_MICROWAVE,
     PolarityFlag.TRIGGER: PIN_TRIGGER,
+    PolarityFlag.CAMERA_TRIGGER: PIN_CAMERA_TRIGGER,
 }
 AS_WIRED = Pins()
 
@@ -60,7 +77,7 @@ def pins_text(pins: PolarityFlag) -> str:
 
 def pins_from(data: Mapping[str, Any]) -> Pins:
     """Of asdict()."""
-    return Pins(PolarityFlag(data.get("inverted", 0)))
+    return Pins(PolarityFlag(data.get("inverted", 0)), int(data.get("trigger_ticks", 0)))
 
 
 def pins_of(text: str) -> Pins:

@@ -17,6 +17,8 @@ from annulus.link.messages import (
     ArmReply,
     BootCause,
     Booted,
+    CameraTrigger,
+    CameraTriggerReply,
     Clear,
     ClearReply,
     Command,
@@ -79,6 +81,7 @@ class ScriptedController:
         self.edges = 0
         self._staged: Stage | None = None
         self._staged_inverted = self.inverted = PolarityFlag(0)
+        self._staged_trigger = self.trigger = 0
         self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
         self._ring: dict[int, Event] = {}
@@ -169,16 +172,21 @@ class ScriptedController:
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
                 self._staged, self._staged_inverted = command, self.inverted
+                self._staged_trigger = self.trigger
                 return StageReply(*ok, generation, 0, 0)
             case Commit(generation):
                 self.in_force, self.inverted = self._staged, self._staged_inverted
+                self.trigger = self._staged_trigger
                 return CommitReply(*ok, generation)
             case Polarity(generation, inverted):
                 self._staged_inverted = inverted
                 return PolarityReply(*ok, generation, inverted)
+            case CameraTrigger(generation, width):
+                self._staged_trigger = width
+                return CameraTriggerReply(*ok, generation, width)
             case Wiring():
                 held = self.in_force.generation if self.in_force else 0
-                return WiringReply(*ok, held, self.inverted, PolarityFlag(0))
+                return WiringReply(*ok, held, self.inverted, PolarityFlag(0), self.trigger)
             case Arm(outputs):
                 self.armed = bool(outputs) and status is StatusCode.OK
                 return ArmReply(*ok, outputs)

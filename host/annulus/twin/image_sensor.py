@@ -70,6 +70,8 @@ class Exposure:
     projector: NDArray[np.float32]  # (H,) on-time each row saw, over the lamp's nominal on-time
     led: NDArray[np.float32]
     dropped: bool  # the driver lost it
+    missed: int = 0  # triggers until then that made no frame: none of its numbers, though `sequence` has them
+    reads_out: int = 0  # ticks from the edge to the end of its readout
 
     @property
     def pose(self) -> Pose:
@@ -182,20 +184,24 @@ class ImageSensor:
 
         transitions : (tick, pin, level) of all output pins since the last call; they must be complete up to `now`.
         """
-        told = transitions.tolist() if isinstance(transitions, np.ndarray) else transitions
-        for tick, pin, level in told:
-            lit = pin in self._gates and self.is_lit(pin, level)
-            if pin in self._gates and not (self.faults.flashes_failed and lit and self._fails(tick)):
-                self._gates[pin].change(tick, lit)
+        self._lamps_moved(transitions.tolist() if isinstance(transitions, np.ndarray) else transitions)
         done = []
         while self.edge(self._ended) <= now:
             done.append(self._expose(self._ended))
             self._ended += 1
-        before = self.next_edge - self._readout - self._exposure
+        self._forget(self.next_edge - self._readout - self._exposure)
+        return done
+
+    def _lamps_moved(self, transitions: Iterable[Sequence[int]]) -> None:
+        for tick, pin, level in transitions:
+            lit = pin in self._gates and self.is_lit(pin, level)
+            if pin in self._gates and not (self.faults.flashes_failed and lit and self._fails(tick)):
+                self._gates[pin].change(tick, lit)
+
+    def _forget(self, before: int) -> None:
         for gate in self._gates.values():
             if gate.pulses:
                 gate.forget(before)
-        return done
 
     def _expose(self, frame: int) -> Exposure:
         edge = self.edge(frame)

@@ -40,13 +40,14 @@ def soak(
     jobs: int | None = 1,
     world_frames: int = WORLD_FRAMES,
     pins: Pins = AS_WIRED,
+    trigger: str = "none",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label and place.
 
     without : witnesses that are not asked: sabotage, which shows what each is good for. jobs : processes, None for one
     a core. board : native or emulated: the same core on a simulated board, or the very
-    image a user flashes. pins : the head's wiring.
+    image a user flashes. pins : the head's wiring. trigger : what its camera takes.
 
     Raises AnnulusError when `frames` is too few, a name is unknown, or with the emulated board where silicon would
     have hung.
@@ -66,6 +67,7 @@ def soak(
             board,
             profile.ratio,
             pins,
+            trigger,
         )
         for i, length in enumerate(lengths)
     ]
@@ -83,7 +85,7 @@ def soak(
     return _together(frames, seed, reports, time.perf_counter() - began)
 
 
-_Order = tuple[int, int, Faults, frozenset[Witness], str, int, Pins]
+_Order = tuple[int, int, Faults, frozenset[Witness], str, int, Pins, str]
 _Progress = Callable[[int], None] | None
 
 
@@ -95,11 +97,12 @@ def _world(
     board: str,
     ratio: int,
     pins: Pins,
+    trigger: str,
     progress: _Progress = None,
 ) -> dict[str, Any]:
     opened = open_board(board)
     try:
-        world = SoakWorld(frames, seed, faults, opened, without, ratio, pins=pins)
+        world = SoakWorld(frames, seed, faults, opened, without, ratio, pins=pins, trigger=trigger)
         gc.freeze()  # all that was imported: nobody need look through it again
         for frame in range(frames):
             world.frame(frame)
