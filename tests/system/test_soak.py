@@ -1,8 +1,11 @@
 """Promises under every fault at once: no wrong lamp, no wrong place, little unknown, and back within a few frames."""
 
+from dataclasses import replace
+
 import pytest
 
 from annulus.link.pins import pins_of
+from annulus.twin.profiles import profile_of
 from annulus.twin.soak import soak
 
 pytestmark = pytest.mark.deep(
@@ -32,5 +35,14 @@ def test_no_label_is_wrong_on_a_head_of_active_low_lamps_and_a_sync_that_rises()
 @pytest.mark.timeout(600)
 def test_no_label_is_wrong_where_the_controller_triggers_the_camera() -> None:
     result = soak(20_000, seed=1, faults="all", trigger="xtrig")
+    assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
+    assert result["unknown"] <= 0.03 * 20_000 and result["untold"] == 0
+
+
+@pytest.mark.timeout(600)
+def test_no_label_is_wrong_where_an_interrupt_sets_the_sync_some_tens_of_us_late() -> None:
+    """cam1_sync: each lit frame was lit evenly, so that no late flash left the window either."""
+    faults = replace(profile_of("all").place(20_000, 1), sync_late_us=40.0)
+    result = soak(20_000, seed=1, faults=faults)
     assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
     assert result["unknown"] <= 0.03 * 20_000 and result["untold"] == 0

@@ -118,7 +118,7 @@ class ImageSensor:
         self.offset_us = -timing.readout_us if timestamp_offset_us is None else timestamp_offset_us
         self._pins = pins
         self._dark = {pin: int(flag in pins.inverted) for pin, flag in _LAMPS.items()}  # level at which it is
-        self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7))
+        self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7), Draws(seed, 8))
         self._period = timing.period_us * TICKS_PER_US
         self._readout = round(timing.readout_us * TICKS_PER_US)
         self._exposure = round(timing.exposure_us * TICKS_PER_US)
@@ -254,7 +254,11 @@ class ImageSensor:
             rng = self._draws[1].of(frame)
             missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         edge = self.edge(frame)
-        out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), PIN_SYNC, 1), (edge, PIN_SYNC, 0)]
+        begins, ends = edge - max(self._readout, 100), edge
+        if self.faults.sync_late_us:
+            late = self._draws[3].of(frame).exponential(self.faults.sync_late_us * TICKS_PER_US, 2)
+            begins, ends = begins + round(late[0]), max(ends + round(late[1]), begins + round(late[0]) + 1)
+        out: list[Stimulus] = [] if missing else [(begins, PIN_SYNC, 1), (ends, PIN_SYNC, 0)]
         if glitch:
             spike = edge + round(self._period) // 8
             out += [(spike, PIN_SYNC, 1), (spike + 20 * TICKS_PER_US, PIN_SYNC, 0)]

@@ -49,3 +49,9 @@ def test_no_label_is_wrong_where_lamps_are_active_low_and_the_sync_rises() -> No
 def test_no_label_is_wrong_where_the_controller_triggers_a_camera_that_misses_some() -> None:
     result = soak(250, seed=5, faults=Faults(sync_missing=0.01, sync_glitches=0.01, resets=(120,)), trigger="xtrig")
     assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
+
+
+def test_no_label_is_wrong_where_an_interrupt_sets_the_sync_some_tens_of_us_late() -> None:
+    result = soak(250, seed=5, faults=Faults(sync_late_us=40.0, frames_dropped=0.02, resets=(120,)))
+    assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
+    assert "irregular edge" not in result["reasons"] or result["reasons"]["irregular edge"] <= 4
