@@ -4,6 +4,8 @@
 
 #include <stddef.h>
 
+#include "count.h"
+
 // Distance from `sequence` to the newest end of the ring; 0 for one that does not exist yet.
 static uint16_t age(const events_t* const self, const uint16_t sequence)
 {
@@ -14,7 +16,7 @@ uint8_t* events_emit(events_t* const self, const uint8_t id)
 {
     if (age(self, self->sent) == EVENT_RING) {  // about to overwrite one that was never sent
         self->sent++;
-        self->overruns++;
+        count_one_more(&self->overruns);
         self->overrun = true;
     }
     event_t* const event = &self->ring[self->next % EVENT_RING];

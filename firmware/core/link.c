@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+#include "count.h"
+
 #define CRC_SIZE 2U
 #define COMMAND_HEADER 2U  // id, sequence
 
@@ -76,7 +78,7 @@ void link_start(link_t* const self)
 
 static bool refuse(link_t* const self)
 {
-    self->bad_frames++;
+    count_one_more(&self->bad_frames);
     self->garbled = true;
     return false;
 }

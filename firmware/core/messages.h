@@ -352,7 +352,7 @@ typedef struct {
     uint32_t period;  // ticks, last interval between accepted edges
     int32_t odometer;  // counts
     uint16_t events;  // sequence the next event will carry
-    uint16_t bad_frames;  // received frames refused: COBS, length, CRC
+    uint16_t bad_frames;  // received frames refused: COBS, length, CRC; 65535: or more, as of all counters of 16 bits but `events`
     uint16_t late;  // flashes not loaded in time
     uint16_t overruns;  // events that left the ring before they were sent
     int32_t turntable;  // steps, position since boot

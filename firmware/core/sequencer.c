@@ -5,6 +5,7 @@
 
 #include "../board.h"
 #include "../ticks.h"
+#include "count.h"
 
 // Places of fields in STAGE, as `detail` names them.
 enum {
@@ -150,7 +151,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
                                     .flags = flags},
                     events_emit(events, EVENT_EDGE));
     if (late) {
-        self->late++;
+        count_one_more(&self->late);
         events_fault(events, edge->tick, FAULT_LATE_LOAD, self->edges);
     }
     if (regular && !self->synced) {

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "../core/count.h"
 #include "hardware.h"
 
 static board_trail_t trail;
@@ -13,12 +14,12 @@ void crash_start(void)
         memset(&crash, 0, sizeof crash);
     }
     if (board_cause() == BOOT_CAUSE_WATCHDOG) {
-        crash.crashes++;
+        count_one_more(&crash.crashes);
         crash.boot = crash.boots;
         crash.kind = CRASH_STUCK;
         crash.trail = trail;
     }
-    crash.boots++;
+    count_one_more(&crash.boots);
     trail = (board_trail_t){.part = PART_START, .command = BOARD_NO_COMMAND};
 }
 

@@ -76,7 +76,6 @@ void lamps_step(void);
 // Transitions so far, and where the odometer stands after so many.
 void odometer_start(void);
 void odometer_input(void);
-void odometer_hold(bool held);
 uint32_t odometer_now(void);
 int32_t odometer_decode(uint32_t until);
 const quadrature_t* odometer_state(void);
@@ -89,6 +88,7 @@ uint64_t microwave_starving_time(void);
 void microwave_starve(void);
 
 void measure_start(void);
+bool measure_is_measuring(void);                 // as board_measuring, for this folder: takes nothing
 void measure_before(void);                       // any pin changes its level
 void measure_after(uint8_t pin, uint8_t level);  // this one did
 

@@ -64,11 +64,15 @@ void measure_after(const uint8_t pin, const uint8_t level)
 void board_measure(const board_look_t* const look)
 {
     time_pass();
-    odometer_hold(look->looks > 0U);
     measure_start();
     measure.look = *look;
     measure.measuring = look->looks > 0U;
     measure.looking = measure.measuring;
+}
+
+bool measure_is_measuring(void)
+{
+    return measure.measuring;
 }
 
 bool board_measuring(void)

@@ -10,6 +10,7 @@
 #include "../board.h"
 #include "../core/link.h"
 #include "../core/messages.h"
+#include "../core/count.h"
 #include "hardware.h"
 #include "registers.h"
 
@@ -55,7 +56,7 @@ static void record(board_crash_t* const crash)
 {
     const bool sure = (memory.place.kind == CRASH_HARD_FAULT) || (memory.place.kind == CRASH_DAMAGED);
     const bool known = sure || ((memory.place.kind == CRASH_STUCK) && (memory.place.rounds == memory.trail.rounds));
-    crash->crashes++;
+    count_one_more(&crash->crashes);
     crash->boot = crash->boots;
     crash->kind = sure ? memory.place.kind : CRASH_STUCK;
     crash->pc = known ? memory.place.pc : 0U;
@@ -72,7 +73,7 @@ void crash_start(const uint8_t cause, const uint8_t boot)
     } else if (cause == BOOT_CAUSE_WATCHDOG) {
         record(&memory.kept.crash);
     }
-    memory.kept.crash.boots++;
+    count_one_more(&memory.kept.crash.boots);
     memory.kept.boot = boot;
     memory.crc = crc_of_kept();
     memory.mark = MARK;

@@ -182,8 +182,25 @@ static void a_level_lasts_until_the_next_identify_of_its_line(void)
     EXPECT_EQ(info(1).level, LEVEL);
 }
 
+static void counters_of_16_bits_stop_at_their_end(void)
+{
+    static link_t link;
+    link_start(&link);
+    static events_t events;
+    for (uint32_t i = 0; i < UINT16_MAX + 2U * EVENT_RING; i++) {
+        command_t command;
+        bool alive = false;
+        link_receive(&link, 1, &command, &alive);
+        link_receive(&link, 0, &command, &alive);
+        events_emit(&events, EVENT_BOOTED);
+    }
+    EXPECT_EQ(link.bad_frames, UINT16_MAX);
+    EXPECT_EQ(events.overruns, UINT16_MAX);
+}
+
 void queries_tests(void)
 {
+    RUN(counters_of_16_bits_stop_at_their_end);
     RUN(info_says_version_number_and_what_is_known);
     RUN(the_nonce_changes_with_every_boot_though_the_boot_byte_does_not);
     RUN(the_configuration_in_force_is_read_back_whole);

@@ -54,6 +54,7 @@ BACK_S = 10.0  # for the new firmware to answer
 LOOK_S = 0.1
 STATUS_S = 1.0  # between two counts of a monitor
 U32, U16 = 2**32, 2**16
+STOPPING = ("bad_frames", "late")  # counters that stop at 65535; those of a controller below level 3 begin anew
 PRODUCT = "annulus controller"  # as the firmware's USB descriptors have it
 
 Progress = Callable[[str, int, int], None]
@@ -391,7 +392,8 @@ def _counters(now: StatusReply, before: tuple[float, StatusReply] | None, now_s:
         elapsed = max(now_s - before[0], 1e-3)
         for name, modulus in (("edges", U32), ("rejected", U32), ("events", U16), ("bad_frames", U16), ("late", U16)):
             since = (getattr(now, name) - getattr(before[1], name)) % modulus
-            rates[f"{name}_per_s"] = round(since / elapsed, 2)
+            stopped = name in STOPPING and getattr(now, name) == U16 - 1
+            rates[f"{name}_per_s"] = None if stopped else round(since / elapsed, 2)
     return {
         "state": _plain(now.state),
         "fault": _plain(now.fault),

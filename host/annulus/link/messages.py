@@ -354,7 +354,7 @@ class StatusReply(Reply):
     period: int  # ticks; last interval between accepted edges
     odometer: int  # counts
     events: int  # sequence the next event will carry
-    bad_frames: int  # received frames refused: COBS, length, CRC
+    bad_frames: int  # received frames refused: COBS, length, CRC; 65535: or more, as of all counters of 16 bits but `events`
     late: int  # flashes not loaded in time
     overruns: int  # events that left the ring before they were sent
     turntable: int  # steps; position since boot

@@ -65,8 +65,14 @@ TRAIN_SLACK_S = 1.0
 FORCE_SLACK_S = 0.5  # beyond the frames of a cycle, for a commit to take force
 TURNTABLE_BUSY_S = 60.0
 U32 = 2**32
+U16_MAX = 2**16 - 1
 
 Awaited = TypeVar("Awaited", BurstDone, TurntableDone)
+
+
+def counted(value: int) -> int | str:
+    """A counter of 16 bits, which stops at its end."""
+    return value if value < U16_MAX else f"{U16_MAX} or more"
 
 
 def status(port: str) -> dict[str, object]:
@@ -94,9 +100,9 @@ def status(port: str) -> dict[str, object]:
             "frame_period_us": reply.period / TICKS_PER_US,
             "odometer_counts": reply.odometer,
             "turntable_steps": reply.turntable,
-            "bad_frames": reply.bad_frames,
-            "late_flashes": reply.late,
-            "event_overruns": reply.overruns,
+            "bad_frames": counted(reply.bad_frames),
+            "late_flashes": counted(reply.late),
+            "event_overruns": counted(reply.overruns),
             "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
             **_image_fields(client),
             **_configuration_fields(client),
@@ -159,8 +165,8 @@ def _crash_fields(client: Client) -> dict[str, object]:
     if not isinstance(last, CrashReply):
         return {"boots_since_power_on": None, "crashes_since_power_on": None, "crash": None, "crash_pc": None}
     return {
-        "boots_since_power_on": last.boots,
-        "crashes_since_power_on": last.crashes,
+        "boots_since_power_on": counted(last.boots),
+        "crashes_since_power_on": counted(last.crashes),
         "crash": _crash_line(last) if last.kind is not CrashKind.NONE else None,
         "crash_pc": f"{last.pc:#010x}" if last.pc else None,
     }

@@ -5,6 +5,7 @@ import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -312,6 +313,8 @@ def test_a_monitors_rates_are_per_second_and_survive_a_counter_that_wraps() -> N
     line = update._counters(counts(30, 70), (100.0, before), 102.0)
     assert (line["edges_per_s"], line["events_per_s"], line["bad_frames_per_s"]) == (25.0, 38.0, 0.0)
     assert (line["state"], line["frame_period_us"]) == (["synced"], 40_000.0)
+    full = replace(counts(30, 70), late=65_535)
+    assert update._counters(full, (100.0, full), 102.0)["late_per_s"] is None  # or more: nobody knows
 
 
 # ---- the command ----

@@ -16,6 +16,10 @@ STAGE = stage_from_us(
 )
 
 
+def test_a_counter_at_its_end_says_or_more() -> None:
+    assert [operate.counted(value) for value in (0, 65_534, 65_535)] == [0, 65_534, "65535 or more"]
+
+
 def test_what_is_in_force_is_read_back_and_shown_in_microseconds() -> None:
     with SimulatedHead(camera_fps=25.0) as head:
         assert operate.status(head.url)["configuration"] is None
