@@ -281,8 +281,12 @@ static inline uint32_t board_on_end(const board_burst_t* const burst)
 // Level of the interlock now.
 bool board_interlock_open(void);
 
-// Did the interlock open since the last call, however briefly? Hardware has then already cut the microwave and keeps
-// it cut until board_microwave(true): within one chip and without the core.
+// Did the interlock open since the last call, however briefly? If it was open for BOARD_INTERLOCK_SEEN_TICKS, hardware
+// has already cut the microwave and keeps it cut until board_microwave(true): within one chip and without the core.
+// What cuts looks at the pin every second to fourth tick, so that a shorter bounce may slip between two looks; its edge
+// is kept all the same, this function tells of it, and the core cuts in the same round: pulses until then are still
+// made.
+#define BOARD_INTERLOCK_SEEN_TICKS 4U
 bool board_interlock_tripped(void);
 
 // Did hardware cut the microwave since the last call because the main loop was late? It is kept cut as after the

@@ -30,6 +30,8 @@ from annulus.link.messages import (
     StatusCode,
 )
 
+SEEN_TICKS = 4  # BOARD_INTERLOCK_SEEN_TICKS of board.h
+
 CODES = {
     BurstCode.SINGLE: "1",
     BurstCode.MPSL25: "1001001010100000011100111",
@@ -277,6 +279,26 @@ def test_nothing_rises_behind_an_interlock_that_opens_as_the_core_disarms(board:
         assert max(rises, default=0) <= 6, f"opening {number}"
         board.events.clear()
         board.request(Clear())
+
+
+def test_the_shortest_bounce_that_hardware_cuts_and_that_a_shorter_one_is_cut_by_the_core(board: EmulatedBoard) -> None:
+    """GUARD looks every second to fourth tick: 40 ns are seen at any phase, of 10 ns bounces some slip through."""
+    arm(board)
+    both = (PIN_MICROWAVE, PIN_TRIGGER)
+    last: dict[int, list[int]] = {SEEN_TICKS: [], 1: []}
+    for ticks, phase in itertools.product(last, range(8)):
+        start_shortest(board)
+        board.transitions.clear()
+        opens = board.now + 20_000 + phase
+        board.input((opens, PIN_INTERLOCK, 1), (opens + ticks, PIN_INTERLOCK, 0))
+        board.run(opens + MS)
+        last[ticks].append(max(tick - opens for tick, pin, level in board.transitions if pin in both and level))
+        assert any(event.fault is FaultCode.INTERLOCK for event in board.events if isinstance(event, Fault))
+        board.events.clear()
+        assert board.request(Clear()).status == StatusCode.OK
+    print(f"last rise after a bounce of 40 ns: {max(last[SEEN_TICKS])} ticks, of 10 ns: {max(last[1])}")
+    assert max(last[SEEN_TICKS]) <= 8
+    assert max(last[1]) <= MS // 2  # a round
 
 
 def test_microwave_cannot_be_armed_with_the_interlock_open(board: EmulatedBoard) -> None:
