@@ -350,7 +350,7 @@ void board_turntable_pace(uint32_t period_ticks);
 // Steps of this move that nothing has begun to make; at most three more are under way.
 uint32_t board_turntable_left(void);
 
-// Leave at most so many of these; how many are left.
+// Leave at most so many of these; how many were taken away.
 uint32_t board_turntable_shorten(uint32_t steps);
 
 // No further step, and the motor's power away, also when it stood. A step whose STEP had risen counts as made.

@@ -124,9 +124,8 @@ uint8_t turntable_move(turntable_t* const self, const command_move_t* const comm
 
 static void end_within(turntable_t* const self, const uint32_t steps)
 {
-    const uint32_t left = board_turntable_left();
-    if (steps < left) {
-        self->steps -= left - board_turntable_shorten(steps);
+    if (steps < board_turntable_left()) {
+        self->steps -= board_turntable_shorten(steps);  // by its own look: another step may have begun since this one
     }
 }
 

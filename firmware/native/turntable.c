@@ -80,10 +80,9 @@ uint32_t board_turntable_shorten(const uint32_t steps)
 {
     time_pass();
     const uint32_t left = steps_left();
-    if (left > steps) {
-        motor.target -= (int32_t)(left - steps) * direction();
-    }
-    return (left > steps) ? steps : left;
+    const uint32_t taken = (left > steps) ? left - steps : 0U;
+    motor.target -= (int32_t)taken * direction();
+    return taken;
 }
 
 void board_turntable_cut(void)

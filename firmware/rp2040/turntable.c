@@ -101,7 +101,7 @@ uint32_t board_turntable_shorten(const uint32_t steps)
     const uint32_t kept = (left > steps) ? steps : left;
     start_words(words - WORDS_PER_STEP * (left - kept));  // and what belongs to a step begun
     motor.steps -= left - kept;
-    return kept;
+    return left - kept;
 }
 
 // Words that the machine has taken tell the steps; with all three of one taken, its place tells whether STEP has risen.
@@ -137,6 +137,22 @@ bool board_turntable_moving(void)
     return motor.moving;
 }
 
+// With DMA and in the FIFO. A word that goes from one to the other between the two readings is in neither, or in both:
+// so they are read until two pairs agree, which take longer than it. Words go three at a time, once a step.
+static uint32_t words_waiting(void)
+{
+    uint32_t with_dma = REGISTER(DMA_COUNT(DMA_STEPS));
+    uint32_t in_fifo = fifo_words();
+    for (bool same = false; !same;) {
+        const uint32_t count = REGISTER(DMA_COUNT(DMA_STEPS));
+        const uint32_t level = fifo_words();
+        same = (count == with_dma) && (level == in_fifo);
+        with_dma = count;
+        in_fifo = level;
+    }
+    return with_dma + in_fifo;
+}
+
 // While it moves: steps begun, one more or less.
 int32_t board_turntable_position(void)
 {
@@ -144,8 +160,7 @@ int32_t board_turntable_position(void)
     if (!motor.moving) {
         return motor.start;
     }
-    const uint32_t waiting = REGISTER(DMA_COUNT(DMA_STEPS)) + fifo_words();
-    return place_after(motor.steps - (waiting + WORDS_PER_STEP - 1U) / WORDS_PER_STEP);
+    return place_after(motor.steps - (words_waiting() + WORDS_PER_STEP - 1U) / WORDS_PER_STEP);
 }
 
 void turntable_start(void)

@@ -189,10 +189,14 @@ def test_an_end_switch_stops_motion_towards_it_however_short_the_touch(
     assert until_it_stands(board) == stood - sign * 20
 
 
-def state(board: EmulatedBoard) -> StateFlag:
+def status(board: EmulatedBoard) -> StatusReply:
     reply = board.request(Status())
     assert isinstance(reply, StatusReply)
-    return reply.state
+    return reply
+
+
+def state(board: EmulatedBoard) -> StateFlag:
+    return status(board).state
 
 
 @pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_without_a_ramp_the_period_is_what_was_asked_at_once")
@@ -325,3 +329,16 @@ def test_no_step_rises_without_power_however_close_to_the_cut(board: EmulatedBoa
         [done] = board.heard(TurntableDone)
         assert done.position - stands == len(board.rises(PIN_STEP))
         stands = done.position
+
+
+def test_a_place_read_while_it_moves_is_that_of_the_pins_and_never_goes_back(board: EmulatedBoard) -> None:
+    ready(board, acceleration=0)
+    assert board.request(Move(2_000, 10_000, 0)).status == StatusCode.OK
+    rng, before = random.Random(5), 0
+    for _ in range(150):
+        board.run(board.now + rng.randrange(10_000))
+        rises = len(board.rises(PIN_STEP))
+        place = status(board).turntable
+        assert before <= place and rises <= place <= len(board.rises(PIN_STEP)) + 1
+        before = place
+    assert before > 150
