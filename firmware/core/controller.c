@@ -81,9 +81,8 @@ static void execute(controller_t* const self, const uint8_t line, const command_
     link_reply(&self->links[line], command, reply);
 }
 
-// One command a line and round at most, so that no round is long. An update's waits while the flash is at work, and
-// nothing more is taken from its line.
-static void receive(controller_t* const self, const uint8_t line)
+// Was a command carried out? An update's waits while the flash is at work, and nothing more is taken from its line.
+static bool receive(controller_t* const self, const uint8_t line)
 {
     link_t* const link = &self->links[line];
     command_t* const held = &self->held[line];
@@ -100,6 +99,23 @@ static void receive(controller_t* const self, const uint8_t line)
     if (complete && !self->holds[line]) {
         execute(self, line, held);
         self->flash_busy = board_update_run();
+        return true;
+    }
+    return false;
+}
+
+// One command a round at most, so that no round is long, and the other line goes first after it.
+static void receive_from_all(controller_t* const self)
+{
+    bool any = false;
+    for (uint8_t i = 0; i < LINES; i++) {
+        const uint8_t line = (uint8_t)((self->first_line + i) % LINES);
+        board_trail()->part = PART_RECEIVE;
+        watch_connection(self, line);
+        if (!any && receive(self, line)) {
+            any = true;
+            self->first_line = (uint8_t)((line + 1U) % LINES);
+        }
     }
 }
 
@@ -162,11 +178,7 @@ void controller_run(controller_t* const self)
     sequencer_edges(&self->sequencer, &self->events, now);
     trail->part = PART_SAFETY;
     safety_run(self, now);
-    for (uint8_t line = 0; line < LINES; line++) {
-        trail->part = PART_RECEIVE;
-        watch_connection(self, line);
-        receive(self, line);
-    }
+    receive_from_all(self);
     trail->part = PART_LOAD;
     const bool accepted = sequencer_load(&self->sequencer, &self->events, now);
     safety_insist(self, accepted, sequencer_lamp(&self->sequencer));

@@ -21,6 +21,7 @@ enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
 typedef struct {
     link_t links[LINES];
     bool connected[LINES];  // at the last look
+    uint8_t first_line;     // to be looked at in the next round
     uint8_t session;        // line whose host identified last: it commands, and gets the events
     bool schema_ok;         // and speaks our schema
     uint8_t asking;         // line whose command is being carried out

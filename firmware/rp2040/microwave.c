@@ -304,6 +304,18 @@ static void prepend(list_t* const list, const bool level, uint32_t ticks)
     }
 }
 
+// The same, where nothing is to be cut and DMA does not read ahead: most of a list.
+static inline void prepend_soon(list_t* const list, const bool level, const uint32_t ticks)
+{
+    const uint32_t at = list->at - 1U;
+    if (((list->fill == 0U) || (ticks < 2U * PIECE_TICKS)) && (at + FIFO_WORDS < list->size)) {
+        list->at = at;
+        list->words[at] = word_of(level, ticks);
+    } else {
+        prepend(list, level, ticks);
+    }
+}
+
 // A list of so many pulses that begins at `begin` with all of them in its period; or, where low ticks at its end are
 // too few, with the end of the last pulse before.
 static void open_list(list_t* const list, const uint32_t pulses, const int32_t begin, const uint32_t period)
@@ -332,12 +344,18 @@ static void write_chips(list_t* const list, const board_burst_t* const burst, co
     open_list(list, board_pulses(burst), begin, burst->period_ticks);
     const uint32_t first = (uint32_t)list->first_rise / burst->chip_ticks;
     uint32_t end = (uint32_t)list->last_fall / burst->chip_ticks;
-    for (uint32_t chip = end; chip > first; chip--) {
-        const bool level = board_chip(burst, chip - 1U);
-        if ((chip - 1U == first) || (board_chip(burst, chip - 2U) != level)) {
-            prepend(list, level, (end - chip + 1U) * burst->chip_ticks);
+    bool level = true;
+    for (uint32_t chip = end; chip > first + 1U; chip--) {  // 256 of these are the longest part of any round
+        const uint32_t before = chip - 2U;
+        const bool turns = (((burst->chips[before / 8U] >> (before % 8U)) & 1U) != 0U) != level;
+        if (turns) {
+            prepend_soon(list, level, (end - chip + 1U) * burst->chip_ticks);
             end = chip - 1U;
+            level = !level;
         }
+    }
+    if (end > first) {
+        prepend(list, level, (end - first) * burst->chip_ticks);
     }
     close_list(list);
 }
