@@ -66,6 +66,9 @@ static void send_command(const uint8_t line, const uint8_t which, const bool mea
     } else {
         memcpy(body + 2, bytes, sizeof bytes);
     }
+    if (layout->id == COMMAND_POLARITY) {
+        body[2U + 1U] &= POLARITY_SYNC;  // watch.c judges outputs as they are when none is inverted
+    }
     uint8_t wire[MAX_WIRE];
     write_line(line, wire, link_frame(body, 2U + layout->length, layout->schema, wire));
 }
