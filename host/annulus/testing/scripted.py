@@ -32,6 +32,10 @@ from annulus.link.messages import (
     Garbled,
     Identify,
     IdentifyReply,
+    Image,
+    ImageFlash,
+    ImageReply,
+    ImageWhy,
     Info,
     InfoReply,
     Move,
@@ -168,6 +172,8 @@ class ScriptedController:
                 stage = self.in_force or Stage(0, *[0] * 10)
                 crc = crc16(stage.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
                 return ConfigurationReply.unpack(bytes(ok) + stage.pack() + crc.to_bytes(2, "little"))
+            case Image():
+                return ImageReply(*ok, 0, 0, ImageWhy.RECORDED, ImageFlash.WHOLE, 0xDEADBEEF)
             case Preamble(length, interval):
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
