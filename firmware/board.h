@@ -12,6 +12,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "core/messages.h"
+
 #define BOARD_WATCHDOG_MS 100U  // a main loop silent for this long is restarted
 #define BOARD_STARVED_MS 4U     // and for this long leaves the microwave dark, until it is armed again
 
@@ -210,11 +212,21 @@ static inline uint32_t board_on_end(const board_burst_t* const burst)
     return chips;
 }
 
-// Level of the interlock now.
-bool board_interlock_open(void);
+// Whether the interlock has a second input, antivalent to the first: closed = high. Not while the microwave is enabled.
+// After a reset it has none, and its pin is looked at by nobody.
+void board_interlock_watch(bool antivalent);
 
-// Did the interlock open since the last call, however briefly? Hardware has then already cut the microwave and keeps
-// it cut until board_microwave(true): within one chip and without the core.
+// What the inputs say now, INTERLOCK_*: that a second one is used, and which of them say open.
+uint8_t board_interlock(void);
+
+// One of the inputs says open.
+static inline bool board_interlock_open(void)
+{
+    return (board_interlock() & (INTERLOCK_OPEN | INTERLOCK_ANTIVALENT_OPEN)) != 0U;
+}
+
+// Did one of the inputs open since the last call, however briefly? Hardware has then already cut the microwave and
+// keeps it cut until board_microwave(true): without the core, and within one chip (the second input: within two).
 bool board_interlock_tripped(void);
 
 // Did hardware cut the microwave since the last call because the main loop was late? It is kept cut as after the

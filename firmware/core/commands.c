@@ -208,6 +208,19 @@ static void stop_turntable(controller_t* const self, const uint8_t line, const u
                               answer);
 }
 
+static void interlock(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_interlock_t command;
+    command_interlock_unpack(&command, payload);
+    reply_interlock_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_interlock_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        reply.status = commands_allowed(self, line) ? safety_interlock(self, command.inputs) : STATUS_SCHEMA;
+    }
+    reply.inputs = board_interlock();
+    reply_interlock_pack(&reply, answer);
+}
+
 // The odometer pays for it: so nobody begins one on a head at work.
 static void measure(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
@@ -307,6 +320,8 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_BOOTLOADER] = bootloader,
     [COMMAND_TURNTABLE] = turntable,
     [COMMAND_TURNTABLE_STOP] = stop_turntable,
+    [COMMAND_INTERLOCK] = interlock,
+    [COMMAND_HARDWARE] = query_hardware,
     [COMMAND_MEASURE] = measure,
     [COMMAND_SAMPLES] = query_samples,
     [COMMAND_INFO] = query_info,

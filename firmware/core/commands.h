@@ -22,6 +22,7 @@ void query_info(controller_t* self, uint8_t line, const uint8_t* payload, uint8_
 void query_configuration(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_crash(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_health(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_hardware(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_reread(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_samples(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 

@@ -8,7 +8,7 @@
 #define SCHEMA_HASH 0xD49BD1EBU
 #define PROTOCOL_VERSION 1U  // of the framing and of what is frozen
 #define MAX_WIRE 64U  // bytes of a frame, COBS code bytes and the 0x00 delimiter included
-#define LEVEL 2U  // of what was added; a side that never says its level is of level 1
+#define LEVEL 3U  // of what was added; a side that never says its level is of level 1
 #define EVENT_RING 64U  // events that can be read again
 #define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
 #define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
@@ -21,6 +21,7 @@
 #define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
 #define UPDATE_MAX_BYTES 28672U  // largest application: the 32 KiB of the whole image without its loader
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
+#define INTERLOCK_DISAGREE_MS 5U  // two interlock inputs may contradict each other for so long: a relay's contacts
 #define PREAMBLE_MAX 63U  // edges of a preamble
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
 #define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
@@ -73,6 +74,7 @@ enum {
     FAULT_EVENT_OVERRUN = 5,
     FAULT_LIMIT = 6,
     FAULT_ODOMETER = 7,
+    FAULT_INTERLOCK_DISAGREES = 8,
 };
 
 enum {
@@ -147,6 +149,11 @@ enum {
 #define TURNTABLE_END_HARD 4U
 #define TURNTABLE_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
 
+#define INTERLOCK_ANTIVALENT 1U
+#define INTERLOCK_OPEN 2U
+#define INTERLOCK_ANTIVALENT_OPEN 4U
+#define INTERLOCK_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
+
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
 
@@ -203,6 +210,10 @@ enum {
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
     REPLY_TURNTABLE_STOP = 0x53,
+    COMMAND_INTERLOCK = 0x1D,
+    REPLY_INTERLOCK = 0x5D,
+    COMMAND_HARDWARE = 0x1E,
+    REPLY_HARDWARE = 0x5E,
     EVENT_EDGE = 0x80,
     EVENT_SYNC_LOST = 0x81,
     EVENT_SYNC_FOUND = 0x82,
@@ -756,6 +767,39 @@ typedef struct {
 } reply_turntable_stop_t;
 void reply_turntable_stop_pack(const reply_turntable_stop_t* self, uint8_t* payload);
 void reply_turntable_stop_unpack(reply_turntable_stop_t* self, const uint8_t* payload);
+
+// Which inputs the interlock has. With a second, antivalent one it is open when either says so, and a contradiction of over `interlock_disagree_ms` is a fault of its own. Refused while anything is armed or moves. After a reset: GP7 alone.
+#define COMMAND_INTERLOCK_LENGTH 1U
+typedef struct {
+    uint8_t inputs;  // antivalent or 0
+} command_interlock_t;
+void command_interlock_pack(const command_interlock_t* self, uint8_t* payload);
+void command_interlock_unpack(command_interlock_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_interlock_range(const command_interlock_t* self);
+
+// Answer to interlock.
+#define REPLY_INTERLOCK_LENGTH 3U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t inputs;  // in force, and what they say now
+} reply_interlock_t;
+void reply_interlock_pack(const reply_interlock_t* self, uint8_t* payload);
+void reply_interlock_unpack(reply_interlock_t* self, const uint8_t* payload);
+
+// What the controller finds about itself on its board; changes nothing.
+#define COMMAND_HARDWARE_LENGTH 0U
+
+// Answer to hardware.
+#define REPLY_HARDWARE_LENGTH 3U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t interlock;
+} reply_hardware_t;
+void reply_hardware_pack(const reply_hardware_t* self, uint8_t* payload);
+void reply_hardware_unpack(reply_hardware_t* self, const uint8_t* payload);
 
 // An accepted falling edge, and what was loaded to fire after it.
 #define EVENT_EDGE_LENGTH 24U

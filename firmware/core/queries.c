@@ -192,6 +192,14 @@ void query_health(controller_t* const self, const uint8_t line, const uint8_t* c
                       answer);
 }
 
+void query_hardware(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    (void)self;
+    (void)line;
+    (void)payload;
+    reply_hardware_pack(&(reply_hardware_t){.status = STATUS_OK, .interlock = board_interlock()}, answer);
+}
+
 void query_reread(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_reread_t command;

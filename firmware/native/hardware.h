@@ -49,6 +49,7 @@ void pinuse_begin(void);
 void pinuse_start(void);
 void pinuse_drive(uint8_t pin, uint8_t level);
 bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
+bool pinuse_opens_interlock(uint8_t pin, uint8_t level);
 
 void identity_begin(void);
 void identity_start(uint8_t boot, uint8_t cause);

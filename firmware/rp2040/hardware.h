@@ -36,6 +36,17 @@ void time_after_blindness(uint32_t since);
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
 
+// GUARD, which cuts the microwave (guard.c): loaded and cutting; let go, with a credit; another credit when one was
+// taken; made to cut; with a second input of the interlock or without, while it cuts. When it cut by its own count, and
+// whether for want of a credit: not while a machine that drives the pins runs.
+void guard_load(void);
+void guard_start(void);
+void guard_feed(void);
+void guard_cut(void);
+void guard_watch(bool antivalent);
+bool guard_is_cutting(void);
+uint32_t guard_cut_tick(bool* starved);
+
 // A train is to end, and every round tries to find the moment for it.
 bool microwave_hurries(void);
 
@@ -116,6 +127,10 @@ enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHIN
 
 // Entry points of the programs that more than one file needs: the turntable borrows the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
+enum { GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_SPENT = 7, GUARD_CUT = 11 };
+#define START_OFFSET 24U      // from the tick read before a machine of PIO1 starts to its first level
 #define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
+#define ODOMETER_PROGRAM_LENGTH 7U
+#define MEASURE_PROGRAM 26U  // in PIO1, at the end
 
 #endif

@@ -206,6 +206,7 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define DELAY(cycles) ((cycles) << 8)
 #define JMP(to) (0x0000U | (to))
 #define JMP_X_DEC(to) (0x0040U | (to))
+#define JMP_NOT_Y(to) (0x0060U | (to))
 #define JMP_Y_DEC(to) (0x0080U | (to))
 #define JMP_X_NOT_Y(to) (0x00A0U | (to))
 #define JMP_PIN(to) (0x00C0U | (to))
@@ -215,11 +216,13 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define IN_PINS(count) (0x4000U | (count))
 #define OUT_PINS(count) (0x6000U | (count))
 #define OUT_X(count) (0x6020U | (count))
+#define OUT_Y(count) (0x6040U | (count))
 #define PUSH_NO_BLOCK 0x8000U
 #define PULL_NO_BLOCK 0x8080U
 #define PULL 0x80A0U
 #define MOV_PINS_OSR 0xA007U
 #define MOV_PINS_NULL 0xA003U
+#define MOV_OSR_PINS 0xA0E0U
 #define MOV_X_OSR 0xA027U
 #define MOV_X_ISR 0xA026U
 #define MOV_Y_OSR 0xA047U

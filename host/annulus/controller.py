@@ -16,6 +16,7 @@ HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
 UPDATE_MAX_BYTES = 28672  # largest application: the 32 KiB of the whole image without its loader
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
+INTERLOCK_DISAGREE_MS = 5  # two interlock inputs may contradict each other for so long: a relay's contacts
 PREAMBLE_MAX = 63  # edges of a preamble
 
 # Limits, compiled into the controller and enforced there.
@@ -52,10 +53,19 @@ PIN_DIRECTION = 9  # turntable DIR
 PIN_ENABLE = 10  # turntable ENABLE, low = on
 PIN_END_LOW = 11  # turntable's lower end switch: closed = low, reached or broken = high
 PIN_END_HIGH = 12  # turntable's upper end switch
+PIN_INTERLOCK_ANTIVALENT = 13  # second interlock input, looked at once configured: closed = high, open or broken = low
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
 PIN_STATUS = 25  # status light: something is armed
-INPUT_PINS = (PIN_SYNC, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
+INPUT_PINS = (
+    PIN_SYNC,
+    PIN_INTERLOCK,
+    PIN_END_LOW,
+    PIN_END_HIGH,
+    PIN_INTERLOCK_ANTIVALENT,
+    PIN_ODOMETER_A,
+    PIN_ODOMETER_B,
+)
 OUTPUT_PINS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_STATUS)
 
 CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first

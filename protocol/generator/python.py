@@ -14,7 +14,14 @@ ENUM_NAMES = {
     "crash": "CrashKind",
     "part": "RoundPart",
 }
-FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "turntable": "TurntableFlag", "arm": "ArmFlag"}
+FLAG_NAMES = {
+    "edge": "EdgeFlag",
+    "state": "StateFlag",
+    "turntable": "TurntableFlag",
+    "interlock": "InterlockFlag",
+    "arm": "ArmFlag",
+}
+LINE_MAX = 120
 FROM_VOCABULARY = ("EdgeFlag", "Lamp")
 
 PYTHON_HEAD = '''"""Every message of the wire, as it crosses it. {generated}
@@ -231,8 +238,10 @@ def controller_module(protocol: Protocol) -> str:
     out += ["", "# Pins, by GPIO."]
     out += [f"PIN_{name.upper()} = {pin.number}  # {pin.what}" for name, pin in protocol.pins.items()]
     for use in ("in", "out"):
-        names = ", ".join(f"PIN_{name.upper()}" for name, pin in protocol.pins.items() if pin.use == use)
-        out.append(f"{use.upper()}PUT_PINS = ({names})")
+        names = [f"PIN_{name.upper()}" for name, pin in protocol.pins.items() if pin.use == use]
+        line = f"{use.upper()}PUT_PINS = ({', '.join(names)})"
+        tall = [f"{use.upper()}PUT_PINS = (", *(f"    {name}," for name in names), ")"]  # as the formatter has it
+        out += [line] if len(line) <= LINE_MAX else tall
     out += ["", "CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first"]
     out += [f'    "{name.replace("_", "-")}": "{chips}",' for name, chips in protocol.codes.items()]
     return "\n".join([*out, "}", ""])

@@ -212,6 +212,10 @@ class EmulatedBoard:
         """Jumpers from an output to an input each, in place of those before."""
         self._do(op="wires", wires=wires)
 
+    def let_go(self, pin: int) -> None:
+        """An input's wire is off: its pad pulls it."""
+        self._do(op="let-go", pin=pin)
+
     def write(self, data: bytes) -> None:
         if self.over_usb:
             self.usb_do("write", hex=data.hex())

@@ -9,7 +9,7 @@
 //
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
 //   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
-//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
+//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "let-go", "pin": N} (an input whose wire is off) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
 //   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot)
 //   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing} (another board in place of this one)
@@ -23,6 +23,7 @@ import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
 import { MISS_TICKS } from './cache.mjs';
+import { letGo, setWires } from './inputs.mjs';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
@@ -59,7 +60,8 @@ function answer(machine, op) {
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
-    case 'wires': machine.setWires(op.wires); break;
+    case 'wires': setWires(machine, op.wires); break;
+    case 'let-go': letGo(machine, op.pin); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
     case 'power-cycle': powerCycle(machine, op.short); break;
@@ -171,7 +173,7 @@ try {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
 }
-if (given.wires) machine.setWires(given.wires.split(',').map((wire) => wire.split('-').map(Number)));
+if (given.wires) setWires(machine, given.wires.split(',').map((wire) => wire.split('-').map(Number)));
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
 else serve(machine, given, vcd);

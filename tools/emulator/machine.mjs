@@ -8,6 +8,7 @@ import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
+import { pull } from './inputs.mjs';
 import { Loop, SysTick } from './loop.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
@@ -34,7 +35,8 @@ export class Machine {
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
-    this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
+    this.levels = new Map(); // of inputs
+    this.held = new Set(); // inputs that somebody drives; the others are what their pads pull them to
     this.pinLevels = new Map();
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
@@ -101,6 +103,7 @@ export class Machine {
       pin.addListener(() => this.note(index));
       if (OUTPUT_PINS.includes(index)) this.note(index);
     }
+    for (const pin of INPUT_PINS) if (!this.held.has(pin)) this.levels.set(pin, 0); // pads at reset pull down (2.19.6.3)
     for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
     for (const pin of chip.gpio) pin.irqStatus = 0;
     this.bindBus();
@@ -277,6 +280,7 @@ export class Machine {
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
+    if (key === 0x4001c) pull(this, (offset - 4) >> 2);
   }
 
   setResets(value) {
@@ -443,19 +447,15 @@ export class Machine {
   }
 
   drive(pin, level) {
+    this.held.add(pin);
+    this.put(pin, level);
+  }
+
+  put(pin, level) {
     this.quietUntil = this.hardwareTick;
     if (this.levels.get(pin) === level) return;
     this.levels.set(pin, level);
     this.chip.gpio[pin].setInputValue(level === 1);
-  }
-
-  // Jumpers, [output, input] each, in place of those before. An input let go is pulled up again.
-  setWires(wires) {
-    for (const [from, to] of wires) if (!OUTPUT_PINS.includes(from) || !INPUT_PINS.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
-    this.sync();
-    for (const to of this.wires.values()) this.drive(to, 1);
-    this.wires = new Map(wires);
-    for (const [from, to] of wires) this.drive(to, this.pinLevels.get(from) ?? 0);
   }
 
   write_serial(bytes) { this.uart.feed(bytes, this.now); }

@@ -29,6 +29,7 @@ from annulus.link.messages import (
     Fault,
     FaultCode,
     IdentifyReply,
+    Interlock,
     Ping,
     PingReply,
     Preamble,
@@ -39,7 +40,15 @@ from annulus.link.messages import (
     StatusReply,
 )
 from annulus.link.preamble import PreambleOrders
-from annulus.link.problems import STOPPED, TAKEN_OVER, configuration_problem, is_stopped, refusal, schema_problem
+from annulus.link.problems import (
+    STOPPED,
+    TAKEN_OVER,
+    configuration_problem,
+    is_stopped,
+    refusal,
+    schema_problem,
+    too_old,
+)
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Slot, Tick
 
@@ -50,7 +59,9 @@ RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
 PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
-LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
+LATCHING = (
+    FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT, FaultCode.INTERLOCK_DISAGREES,
+)  # fmt: skip
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 
@@ -62,6 +73,7 @@ class Phase(StrEnum):
     SEARCHING = "searching"
     LOOKING = "looking"  # are the lamps still as we left them?
     DISARMING = "disarming"
+    WIRING = "wiring"  # says which inputs the interlock has
     STAGING = "staging"
     COMMITTING = "committing"
     VERIFYING = "verifying"  # reads back what is in force
@@ -120,10 +132,15 @@ class HeadControl:
     """
 
     def __init__(
-        self, configuration: Stage | None = None, *, armed: bool = True, preamble: Preamble | None = None
+        self,
+        configuration: Stage | None = None,
+        *,
+        armed: bool = True,
+        preamble: Preamble | None = None,
+        interlock: Interlock | None = None,
     ) -> None:
         """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
-        the controller has them.
+        the controller has them. `interlock`: its inputs, without which nothing is armed; None leaves them as they are.
         """
         self.session = Session()
         self.clock = ClockMap()
@@ -135,6 +152,7 @@ class HeadControl:
         self.rearms = 0  # times the lamps were armed again after a reset or fault
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
+        self._interlock = interlock
         self._armed = armed
         self.preambles = PreambleOrders(preamble, configuration.frame_period if configuration else PERIOD_TICKS)
         self._lit = False  # armed, by all we know
@@ -234,6 +252,8 @@ class HeadControl:
                 return Status()
             case Phase.DISARMING:
                 return Arm(ArmFlag(0))
+            case Phase.WIRING:
+                return self._interlock
             case Phase.STAGING if self._configuration is not None:
                 return replace(self._configuration, generation=self._generation)
             case Phase.COMMITTING:
@@ -252,9 +272,11 @@ class HeadControl:
         """What is in force is read back, and preambles are ordered, where the controller can; that one is known once
         `info` is settled.
         """
-        if not isinstance(step, Configuration | Preamble) or self.session.knows(type(step)):
+        if not isinstance(step, Configuration | Preamble | Interlock) or self.session.knows(type(step)):
             return True
-        if self.session.informed:
+        if self.session.informed and isinstance(step, Interlock):
+            self._enter(Phase.REFUSED, too_old(Interlock))  # never armed with an input that nobody looks at
+        elif self.session.informed:
             self._go_on_from(self.phase)
         return False
 
@@ -293,9 +315,11 @@ class HeadControl:
                 self._has_run = self._lit = True
                 self._cleared = self._contradicted = self._fresh = False
                 self._enter(Phase.RUNNING)
-            case Arm() if self._configuration is None:
+            case Arm() if self._interlock is not None:
+                self._enter(Phase.WIRING)
+            case Arm() | Interlock() if self._configuration is None:
                 self._enter(Phase.IDLE)
-            case Arm():
+            case Arm() | Interlock():
                 self._generation = self._generation % 255 + 1
                 self._enter(Phase.STAGING)
             case Stage():

@@ -16,7 +16,7 @@ SCHEMA_HASH = 0xD49BD1EB
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
-LEVEL = 2
+LEVEL = 3
 EVENT_RING = 64
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
@@ -44,6 +44,7 @@ class FaultCode(IntEnum):
     EVENT_OVERRUN = 5
     LIMIT = 6
     ODOMETER = 7
+    INTERLOCK_DISAGREES = 8
 
 
 class StopCause(IntEnum):
@@ -111,6 +112,12 @@ class TurntableFlag(IntFlag):
     END_LOW = 1
     END_HIGH = 2
     END_HARD = 4
+
+
+class InterlockFlag(IntFlag):
+    ANTIVALENT = 1
+    OPEN = 2
+    ANTIVALENT_OPEN = 4
 
 
 class ArmFlag(IntFlag):
@@ -1074,6 +1081,50 @@ class PreambleReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class InterlockReply(Reply):
+    """Answer to interlock."""
+
+    ID: ClassVar[int] = 0x5D
+    SCHEMA_BYTE: ClassVar[int] = 0x55
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBB")
+    LENGTH: ClassVar[int] = 3
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "inputs")
+
+    inputs: InterlockFlag  # in force, and what they say now
+
+    def pack(self) -> bytes:
+        return _pack("interlock", self.LAYOUT, self.status, self.detail, self.inputs)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], InterlockFlag(v[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class HardwareReply(Reply):
+    """Answer to hardware."""
+
+    ID: ClassVar[int] = 0x5E
+    SCHEMA_BYTE: ClassVar[int] = 0x08
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBB")
+    LENGTH: ClassVar[int] = 3
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "interlock")
+
+    interlock: InterlockFlag
+
+    def pack(self) -> bytes:
+        return _pack("hardware", self.LAYOUT, self.status, self.detail, self.interlock)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], InterlockFlag(v[2]))
+
+
+@dataclass(frozen=True, slots=True)
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
     for ever.
@@ -1761,6 +1812,55 @@ class Preamble(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Interlock(Command):
+    """Which inputs the interlock has. With a second, antivalent one it is open when either says so, and a contradiction of
+    over `interlock_disagree_ms` is a fault of its own. Refused while anything is armed or moves. After a reset: GP7
+    alone.
+    """
+
+    ID: ClassVar[int] = 0x1D
+    SCHEMA_BYTE: ClassVar[int] = 0xCD
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
+    LENGTH: ClassVar[int] = 1
+    FIELDS: ClassVar[tuple[str, ...]] = ("inputs",)
+    REPLY: ClassVar[type[Reply]] = InterlockReply
+    QUERY: ClassVar[bool] = False
+
+    inputs: InterlockFlag  # antivalent or 0
+
+    def pack(self) -> bytes:
+        return _pack("interlock", self.LAYOUT, self.inputs)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(InterlockFlag(v[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware(Command):
+    """What the controller finds about itself on its board; changes nothing."""
+
+    ID: ClassVar[int] = 0x1E
+    SCHEMA_BYTE: ClassVar[int] = 0x69
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = HardwareReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("hardware", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Edge(Event):
     """An accepted falling edge, and what was loaded to fire after it."""
 
@@ -2041,6 +2141,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x19: Preamble,
     0x12: Turntable,
     0x13: TurntableStop,
+    0x1D: Interlock,
+    0x1E: Hardware,
 }
 
 REPLIES: dict[int, type[Reply]] = {
@@ -2070,6 +2172,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x59: PreambleReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
+    0x5D: InterlockReply,
+    0x5E: HardwareReply,
 }
 
 EVENTS: dict[int, type[Event]] = {

@@ -29,8 +29,11 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
+    Hardware,
+    HardwareReply,
     Health,
     HealthReply,
+    InterlockFlag,
     Move,
     Pattern,
     Stage,
@@ -94,6 +97,7 @@ def status(port: str) -> dict[str, object]:
             **_configuration_fields(client),
             **_crash_fields(client),
             **_health(client),
+            **_hardware(client),
         }
 
 
@@ -154,6 +158,21 @@ def _health(client: Client) -> dict[str, object]:
         "edges_dropped": found.edges_dropped,
         "usb_hangs": found.usb_hangs,
     }
+
+
+def _hardware(client: Client) -> dict[str, object]:
+    """What the controller finds about itself."""
+    found = client.request(Hardware()) if client.session.knows(Hardware) else None
+    return {"interlock": interlock_line(found.interlock) if isinstance(found, HardwareReply) else None}
+
+
+def interlock_line(inputs: InterlockFlag) -> str:
+    """What its inputs say, in one line."""
+    first = "open" if InterlockFlag.OPEN in inputs else "closed"
+    if InterlockFlag.ANTIVALENT not in inputs:
+        return f"{first} (GP7)"
+    second = "open" if InterlockFlag.ANTIVALENT_OPEN in inputs else "closed"
+    return f"{first} (GP7 and GP13)" if first == second else f"contradicts itself: GP7 {first}, GP13 {second}"
 
 
 def configure(port: str, stage: Stage) -> dict[str, object]:

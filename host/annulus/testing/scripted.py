@@ -32,6 +32,8 @@ from annulus.link.messages import (
     IdentifyReply,
     Info,
     InfoReply,
+    Interlock,
+    InterlockReply,
     Move,
     MoveReply,
     Ping,
@@ -152,12 +154,16 @@ class ScriptedController:
                 held = self.in_force.generation if self.in_force else 0
                 return StatusReply(*ok, state, self.fault, held, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
             case Info():
-                known = sum(1 << id_ for id_ in COMMANDS).to_bytes(8, "little")
+                known = sum(1 << id_ for id_, kind in COMMANDS.items() if self.level >= kind.SINCE).to_bytes(
+                    8, "little"
+                )
                 return InfoReply(*ok, self.level, 0, 1, 0, b"0" * 16, known, 0xFF, self.nonce, 0, 0, 1000)
             case Configuration():
                 stage = self.in_force or Stage(0, *[0] * 10)
                 crc = crc16(stage.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
                 return ConfigurationReply.unpack(bytes(ok) + stage.pack() + crc.to_bytes(2, "little"))
+            case Interlock(inputs):
+                return InterlockReply(*ok, inputs)
             case Preamble(length, interval):
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
