@@ -34,6 +34,11 @@ uint8_t board_cause(void);
 // Eight ASCII characters, zero-padded.
 const uint8_t* board_name(void);
 
+// What carries the chip, BOARD_KIND_*, and whether there are 5 V at its USB socket, PRESENCE_*; unknown where nothing
+// tells for sure.
+uint8_t board_kind(void);
+uint8_t board_vbus(void);
+
 // Sixteen ASCII digits and a zero, different on every board.
 const uint8_t* board_serial_number(void);
 

@@ -931,14 +931,18 @@ void reply_hardware_pack(const reply_hardware_t* const self, uint8_t* const payl
 {
     put8(payload + 0, self->status);
     put8(payload + 1, self->detail);
-    put8(payload + 2, self->interlock);
+    put8(payload + 2, self->board);
+    put8(payload + 3, self->vbus);
+    put8(payload + 4, self->interlock);
 }
 
 void reply_hardware_unpack(reply_hardware_t* const self, const uint8_t* const payload)
 {
     self->status = get8(payload + 0);
     self->detail = get8(payload + 1);
-    self->interlock = get8(payload + 2);
+    self->board = get8(payload + 2);
+    self->vbus = get8(payload + 3);
+    self->interlock = get8(payload + 4);
 }
 
 void event_edge_pack(const event_edge_t* const self, uint8_t* const payload)
@@ -1139,7 +1143,7 @@ static const layout_t layouts[] = {
     {0x1D, 1, 0xCD, 0, 3},  // command interlock
     {0x5D, 3, 0x55, 0, 3},  // reply interlock
     {0x1E, 0, 0x69, 1, 3},  // command hardware
-    {0x5E, 3, 0x08, 0, 3},  // reply hardware
+    {0x5E, 5, 0x96, 0, 3},  // reply hardware
     {0x80, 24, 0x15, 0, 1},  // event edge
     {0x81, 8, 0x61, 0, 1},  // event sync_lost
     {0x82, 8, 0x32, 0, 1},  // event sync_found

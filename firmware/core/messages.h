@@ -120,6 +120,18 @@ enum {
 };
 
 enum {
+    BOARD_KIND_UNKNOWN = 0,
+    BOARD_KIND_PICO = 1,
+    BOARD_KIND_PICO_W = 2,
+};
+
+enum {
+    PRESENCE_UNKNOWN = 0,
+    PRESENCE_ABSENT = 1,
+    PRESENCE_PRESENT = 2,
+};
+
+enum {
     UPDATE_REFUSAL_NOT_NOW = 0,
     UPDATE_REFUSAL_INCOMPLETE = 1,
     UPDATE_REFUSAL_DAMAGED = 2,
@@ -792,10 +804,12 @@ void reply_interlock_unpack(reply_interlock_t* self, const uint8_t* payload);
 #define COMMAND_HARDWARE_LENGTH 0U
 
 // Answer to hardware.
-#define REPLY_HARDWARE_LENGTH 3U
+#define REPLY_HARDWARE_LENGTH 5U
 typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
+    uint8_t board;
+    uint8_t vbus;  // 5 V at the USB socket; unknown where nothing senses it
     uint8_t interlock;
 } reply_hardware_t;
 void reply_hardware_pack(const reply_hardware_t* self, uint8_t* payload);

@@ -197,7 +197,10 @@ void query_hardware(controller_t* const self, const uint8_t line, const uint8_t*
     (void)self;
     (void)line;
     (void)payload;
-    reply_hardware_pack(&(reply_hardware_t){.status = STATUS_OK, .interlock = board_interlock()}, answer);
+    reply_hardware_pack(
+        &(reply_hardware_t){
+            .status = STATUS_OK, .board = board_kind(), .vbus = board_vbus(), .interlock = board_interlock()},
+        answer);
 }
 
 void query_reread(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)

@@ -12,7 +12,7 @@
 // In the order in which they must be called after reset.
 void identity_start(void);
 void reset_start(void);   // the watchdog
-void pinuse_start(void);  // pins at rest
+void pinuse_start(void);  // pins at rest, and which board this is
 void lines_start(void);   // the UART
 void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
@@ -55,6 +55,9 @@ bool microwave_hurries(void);
 #define SCRATCH_MAGIC 0x616E6E00U
 #define SCRATCH_BY_HOST 1U
 
+// An interlock or VBUS went since this was last asked: the round under way may have looked before.
+bool pinuse_hurries(void);
+
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
 
@@ -67,6 +70,14 @@ uint32_t odometer_now(void);
 int32_t odometer_decode(uint32_t until);
 const quadrature_t* odometer_state(void);
 volatile uint32_t* odometer_lend(void);
+
+// Which board carries the chip. VBUS: never gone where nothing senses it; once it was, however briefly, gone until
+// `variant_vbus_back` is asked and it is there. From the pins' interrupt: an edge of it.
+void variant_prepare(void);  // first of all: a divider has to settle
+void variant_start(void);
+void variant_vbus_edge(bool fell);
+bool variant_vbus(void);
+bool variant_vbus_back(void);
 
 // Around what must not be interrupted; never nested.
 static inline void interrupts_off(void)
@@ -110,6 +121,7 @@ size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);
 bool usb_has_received(void);
 void usb_run(void);
+void usb_let_go(void);     // D+, at once: from an interrupt
 uint32_t usb_hangs(void);  // so often the device controller hung and was reset
 
 // Who owns which DMA channel and PIO machine.

@@ -8,11 +8,13 @@
 
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
+static volatile bool hurried;
 static bool antivalent;  // the interlock has a second input
 static volatile uint32_t ends_touched;
 
 #define END_LOW EDGE_HIGH(PIN_END_LOW - 8U)  // as pins 8..15 tell their edges
 #define END_HIGH EDGE_HIGH(PIN_END_HIGH - 8U)
+#define VBUS_EDGES (EDGE_LOW(PIN_VBUS - 24U) | EDGE_HIGH(PIN_VBUS - 24U))
 #define ANTIVALENT_LOW EDGE_LOW(PIN_INTERLOCK_ANTIVALENT - 8U)
 
 void pin_use(const uint32_t pin, const uint32_t function, const uint32_t pad)
@@ -38,13 +40,28 @@ void pins_handler(void)
     }
     if ((edges & EDGE_HIGH(PIN_INTERLOCK)) != 0U) {
         interlock_opened = true;
+        hurried = true;
     }
     const uint32_t others = REGISTER(IO_INTR1) & (END_LOW | END_HIGH | ANTIVALENT_LOW);
     REGISTER(IO_INTR1) = others;
     ends_touched = ends_touched | (others & (END_LOW | END_HIGH));
+    const uint32_t vbus = REGISTER(IO_INTR3) & VBUS_EDGES;
+    if (vbus != 0U) {
+        REGISTER(IO_INTR3) = vbus;
+        hurried = true;
+        variant_vbus_edge((vbus & EDGE_LOW(PIN_VBUS - 24U)) != 0U);
+    }
     if (antivalent && ((others & ANTIVALENT_LOW) != 0U)) {
         interlock_opened = true;
+        hurried = true;
     }
+}
+
+bool pinuse_hurries(void)
+{
+    const bool due = hurried;
+    hurried = false;
+    return due;
 }
 
 uint32_t pinuse_sync_edges(const uint32_t accepted)
@@ -113,7 +130,8 @@ uint8_t board_turntable_reached(void)
 
 void board_status_light(const bool on)
 {
-    REGISTER(on ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_STATUS;
+    const bool lit = on && (board_kind() != BOARD_KIND_PICO_W);  // there it is the radio's select line
+    REGISTER(lit ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_STATUS;
 }
 
 void pinuse_start(void)
@@ -130,5 +148,10 @@ void pinuse_start(void)
     pin_use(PIN_INTERLOCK_ANTIVALENT, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_DOWN);
     REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
     REGISTER(IO_PROC0_INTE0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
+    variant_start();
+    if (board_kind() == BOARD_KIND_PICO) {
+        REGISTER(IO_INTR3) = VBUS_EDGES;
+        REGISTER(IO_PROC0_INTE3) = VBUS_EDGES;
+    }
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
 }

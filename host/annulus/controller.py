@@ -56,7 +56,8 @@ PIN_END_HIGH = 12  # turntable's upper end switch
 PIN_INTERLOCK_ANTIVALENT = 13  # second interlock input, looked at once configured: closed = high, open or broken = low
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
-PIN_STATUS = 25  # status light: something is armed
+PIN_VBUS = 24  # 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
+PIN_STATUS = 25  # status light: something is armed; on a Pico W it stays low, there is no light at this pin
 INPUT_PINS = (
     PIN_SYNC,
     PIN_INTERLOCK,
@@ -65,6 +66,7 @@ INPUT_PINS = (
     PIN_INTERLOCK_ANTIVALENT,
     PIN_ODOMETER_A,
     PIN_ODOMETER_B,
+    PIN_VBUS,
 )
 OUTPUT_PINS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_STATUS)
 

@@ -13,6 +13,8 @@ ENUM_NAMES = {
     "burst_code": "BurstCode",
     "crash": "CrashKind",
     "part": "RoundPart",
+    "board_kind": "BoardKind",
+    "presence": "Presence",
 }
 FLAG_NAMES = {
     "edge": "EdgeFlag",

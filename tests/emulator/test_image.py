@@ -330,7 +330,7 @@ def test_a_ping_returns_the_time_its_last_byte_was_taken(board: EmulatedBoard) -
     sent = board.now
     reply = board.request(Ping())
     assert isinstance(reply, PingReply)
-    arrived = sent + 1_000 * 7  # bytes of a ping on the line
+    arrived = sent + 1_000 * 6  # bytes of a ping on the line
     assert 0 <= reply.tick + board.origin - arrived <= 20_000
 
 

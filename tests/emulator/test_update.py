@@ -376,4 +376,4 @@ def test_ticks_go_on_through_the_slowest_erase(board: EmulatedBoard, new: Applic
     sent = board.now
     reply = board.request(Ping())
     assert isinstance(reply, PingReply)
-    assert 0 <= reply.tick + board.origin - sent - 7_000 <= 20_000
+    assert 0 <= reply.tick + board.origin - sent - 6_000 <= 20_000

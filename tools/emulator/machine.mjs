@@ -2,9 +2,11 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040, GPIOPinState } from 'rp2040js';
+import { Adc, checkVbusPad } from './adc.mjs';
 import { Cache } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
-import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
+import { adcMHz, usbMHz } from './clocks.mjs';
+import { INPUT_PINS, OUTPUT_PINS, PIN, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
@@ -21,15 +23,15 @@ const RAM = 0x20000000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
-const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
+const RESET_BITS = { adc: 0, dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
 const RESET_OF = new Map([
   [0x40014, 'io'], [0x40018, 'qspi'], [0x4001c, 'pads'], [0x40020, 'padsQspi'], [0x40028, 'pllSys'], [0x4002c, 'pllUsb'],
-  [0x40034, 'uart0'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
+  [0x40034, 'uart0'], [0x4004c, 'adc'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
 ]);
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0) {
+  constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0, board = 'pico') {
     this.flash = readUf2(uf2);
     this.flashChip = new Flash(this.flash);
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
@@ -45,8 +47,11 @@ export class Machine {
     this.resets = [];
     this.scratch = new Uint32Array(8);
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
-    this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => this.usbMHz());
+    this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => usbMHz(this));
     this.host = new UsbHost(this.usb);
+    this.adc = new Adc(board, () => adcMHz(this));
+    this.usb.onCable = (isIn) => { if (board === 'pico') { this.sync(); this.drive(PIN.VBUS, isIn ? 1 : 0); } };
+    if (board === 'pico') { this.held.add(PIN.VBUS); this.levels.set(PIN.VBUS, 0); }
     this.cache = new Cache(missTicks);
     this.loop = new Loop();
     this.waits = 0; // of the instruction being run, for data in flash
@@ -80,6 +85,8 @@ export class Machine {
     chip.dma = this.dma;
     this.uart.reset();
     this.ssi.reset();
+    this.adc.reset();
+    this.adc.padWritten(29, 0x56, this.now);
     this.cache.reset();
     this.flashChip.reset();
     this.host.now = this.now;
@@ -132,6 +139,7 @@ export class Machine {
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
+      if (index === PIN.STATUS) this.adc.select(level, this.now);
       if (this.wires.has(index)) this.drive(this.wires.get(index), level);
       else if (pin.inputEnable) this.quietUntil = this.hardwareTick; // somebody looks at it
     }
@@ -205,6 +213,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return this.ringOscillator();
       case 0x40034: return this.uart.readUint32(offset, this.now);
+      case 0x4004c: return this.adc.readUint32(offset, this.now);
       case 0x18000: return this.ssi.readUint32(offset);
       case 0x50110: return this.usb.readUint32(offset, this.now);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
@@ -249,6 +258,7 @@ export class Machine {
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
       case 0x18000: return this.ssi.writeUint32(offset, value);
+      case 0x4004c: return this.adc.writeUint32(offset, kind ? plain(this.adc.readUint32(offset, this.now)) : value, this.now);
       case 0x50110:
         this.host.now = this.now;
         return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset, this.now)) : value, value);
@@ -280,7 +290,14 @@ export class Machine {
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
-    if (key === 0x4001c) pull(this, (offset - 4) >> 2);
+    if (key === 0x4001c) this.padWritten((offset - 4) >> 2);
+  }
+
+  padWritten(pin) {
+    const { padValue } = this.chip.gpio[pin];
+    checkVbusPad(this.adc.kind, pin, padValue);
+    this.adc.padWritten(pin, padValue, this.now);
+    pull(this, pin);
   }
 
   setResets(value) {
@@ -290,16 +307,9 @@ export class Machine {
     for (const number of [0, 1]) if ((fell >>> (10 + number)) & 1) { this.pios[number].reset(); this.updatePins(); }
     if ((fell >>> RESET_BITS.dma) & 1) this.dma.reset();
     if ((fell >>> RESET_BITS.uart0) & 1) this.uart.reset();
+    if (fell & 1) this.adc.reset();
     if ((fell >>> RESET_BITS.usb) & 1) { this.host.now = this.now; this.usb.reset(); }
     this.inReset = value;
-  }
-
-  // Of clk_usb: its PLL runs, within the VCO's range, and the clock is let through.
-  usbMHz() {
-    const pll = this.chip.peripherals[0x4002c];
-    const vco = (12 / (pll.cs & 63)) * pll.fbdivInt;
-    const isOn = this.chip.peripherals[0x40008].readUint32(0x54) & (1 << 11) && !(pll.pwr & 0x29) && vco >= 750 && vco <= 1600;
-    return isOn && !((this.inReset >>> RESET_BITS.pllUsb) & 1) ? pll.frequency / 1e6 : 0;
   }
 
   // ---- hardware ----

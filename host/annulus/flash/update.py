@@ -39,12 +39,15 @@ from annulus.link.messages import (
     BOOTLOADER_NEEDS_USB,
     BootCause,
     Bootloader,
+    Hardware,
+    HardwareReply,
     IdentifyReply,
     Message,
     Status,
     StatusCode,
     StatusReply,
 )
+from annulus.link.operate import carrier_line
 from annulus.link.problems import refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, EventsLost, LinkEvent, Rebooted
 from annulus.vocabulary import AnnulusError
@@ -97,7 +100,8 @@ def board_fields(port: str) -> dict[str, object]:
     """Who answers on a port. AnnulusError when nobody does."""
     with Client(port, diagnostics=True) as client:
         who = client.identity
-    return {"port": port, **_who(who)}
+        found = client.request(Hardware()) if client.session.knows(Hardware) else None
+    return {"port": port, **_who(who), "carrier": carrier_line(found) if isinstance(found, HardwareReply) else None}
 
 
 def _who(who: IdentifyReply) -> dict[str, object]:

@@ -89,6 +89,18 @@ class RoundPart(IntEnum):
     SLEEP = 9
 
 
+class BoardKind(IntEnum):
+    UNKNOWN = 0
+    PICO = 1
+    PICO_W = 2
+
+
+class Presence(IntEnum):
+    UNKNOWN = 0
+    ABSENT = 1
+    PRESENT = 2
+
+
 class UpdateRefusal(IntEnum):
     NOT_NOW = 0
     INCOMPLETE = 1
@@ -1107,21 +1119,23 @@ class HardwareReply(Reply):
     """Answer to hardware."""
 
     ID: ClassVar[int] = 0x5E
-    SCHEMA_BYTE: ClassVar[int] = 0x08
+    SCHEMA_BYTE: ClassVar[int] = 0x96
     SINCE: ClassVar[int] = 3
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBB")
-    LENGTH: ClassVar[int] = 3
-    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "interlock")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBB")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "board", "vbus", "interlock")
 
+    board: BoardKind
+    vbus: Presence  # 5 V at the USB socket; unknown where nothing senses it
     interlock: InterlockFlag
 
     def pack(self) -> bytes:
-        return _pack("hardware", self.LAYOUT, self.status, self.detail, self.interlock)
+        return _pack("hardware", self.LAYOUT, self.status, self.detail, self.board, self.vbus, self.interlock)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(StatusCode(v[0]), v[1], InterlockFlag(v[2]))
+        return cls(StatusCode(v[0]), v[1], BoardKind(v[2]), Presence(v[3]), InterlockFlag(v[4]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from annulus.link.messages import (
     COMMANDS,
     Arm,
     ArmFlag,
+    BoardKind,
     BootCause,
     Burst,
     BurstCode,
@@ -163,7 +164,23 @@ def _health(client: Client) -> dict[str, object]:
 def _hardware(client: Client) -> dict[str, object]:
     """What the controller finds about itself."""
     found = client.request(Hardware()) if client.session.knows(Hardware) else None
-    return {"interlock": interlock_line(found.interlock) if isinstance(found, HardwareReply) else None}
+    if not isinstance(found, HardwareReply):
+        return dict.fromkeys(("carrier", "vbus", "interlock"))
+    return {
+        "carrier": carrier_line(found),
+        "vbus": found.vbus.name.lower(),
+        "interlock": interlock_line(found.interlock),
+    }
+
+
+def carrier_line(found: HardwareReply) -> str:
+    """The board under the chip, and what goes with it."""
+    match found.board:
+        case BoardKind.PICO:
+            return "Pico"
+        case BoardKind.PICO_W:
+            return "Pico W (no status light, VBUS not sensed)"
+    return "unknown (VBUS not sensed)"
 
 
 def interlock_line(inputs: InterlockFlag) -> str:

@@ -15,6 +15,7 @@ from annulus.link.messages import (
     SCHEMA_HASH,
     Arm,
     ArmReply,
+    BoardKind,
     BootCause,
     Booted,
     Clear,
@@ -28,11 +29,14 @@ from annulus.link.messages import (
     Event,
     FaultCode,
     Garbled,
+    Hardware,
+    HardwareReply,
     Identify,
     IdentifyReply,
     Info,
     InfoReply,
     Interlock,
+    InterlockFlag,
     InterlockReply,
     Move,
     MoveReply,
@@ -40,6 +44,7 @@ from annulus.link.messages import (
     PingReply,
     Preamble,
     PreambleReply,
+    Presence,
     Reply,
     Reread,
     RereadReply,
@@ -162,6 +167,8 @@ class ScriptedController:
                 stage = self.in_force or Stage(0, *[0] * 10)
                 crc = crc16(stage.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
                 return ConfigurationReply.unpack(bytes(ok) + stage.pack() + crc.to_bytes(2, "little"))
+            case Hardware():
+                return HardwareReply(*ok, BoardKind.UNKNOWN, Presence.UNKNOWN, InterlockFlag(0))
             case Interlock(inputs):
                 return InterlockReply(*ok, inputs)
             case Preamble(length, interval):
