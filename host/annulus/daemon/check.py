@@ -24,6 +24,7 @@ from annulus.daemon.priority import autogroup_remark, raise_priority
 from annulus.daemon.samples import open_sensors
 from annulus.link import operate
 from annulus.link.client import Client
+from annulus.link.messages import InterlockFlag
 from annulus.stream.access import Doorkeeper
 from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
@@ -60,7 +61,11 @@ def check_head(path: Path) -> list[Finding]:
             found.append(Finding(what, False, str(error)))
 
     look("calibration", lambda: _calibration(config), "" if config.calibration else "none: nothing is seen live")
-    look("controller", lambda: _controller(config.port or ""), "" if config.port else "none: frames have no labels")
+    look(
+        "controller",
+        lambda: _controller(config.port or "", config.interlock_antivalent),
+        "" if config.port else "none: frames have no labels",
+    )
     found += _cameras(config)
     look("sensors", lambda: _sensors(config), "" if config.sensors else "none")
     look("recording", lambda: _recording(config), "" if config.record_folder else "none: nothing is recorded")
@@ -78,9 +83,12 @@ def _calibration(config: HeadConfig) -> str:
     return cameras + later
 
 
-def _controller(port: str) -> str:
+def _controller(port: str, antivalent: bool) -> str:
     with Client(port):  # one that may be armed, not only asked
         pass
+    inputs = operate.use_both_inputs(port) if antivalent else InterlockFlag(0)
+    if (InterlockFlag.OPEN in inputs) != (InterlockFlag.ANTIVALENT_OPEN in inputs) and antivalent:
+        raise AnnulusError(f"{port}: the interlock {operate.interlock_line(inputs)}. Expected both alike.")
     status = operate.status(port)
     armed = str(status["state"])
     if "armed" in armed or status["fault"] != "none":

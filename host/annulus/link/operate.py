@@ -34,7 +34,9 @@ from annulus.link.messages import (
     HardwareReply,
     Health,
     HealthReply,
+    Interlock,
     InterlockFlag,
+    InterlockReply,
     Move,
     Pattern,
     Stage,
@@ -52,7 +54,7 @@ from annulus.link.messages import (
     TurntableStopped,
     TurntableStopReply,
 )
-from annulus.link.problems import configuration_problem
+from annulus.link.problems import configuration_problem, too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -171,6 +173,16 @@ def _hardware(client: Client) -> dict[str, object]:
         "vbus": found.vbus.name.lower(),
         "interlock": interlock_line(found.interlock),
     }
+
+
+def use_both_inputs(port: str) -> InterlockFlag:
+    """The interlock has a second input from now on; what both say. AnnulusError for a controller that cannot look."""
+    with Client(port) as client:
+        if not client.session.knows(Interlock):
+            raise AnnulusError(f"{port}: {too_old(Interlock)}")
+        reply = client.request(Interlock(InterlockFlag.ANTIVALENT))
+        assert isinstance(reply, InterlockReply)
+        return reply.inputs
 
 
 def carrier_line(found: HardwareReply) -> str:
