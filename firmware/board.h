@@ -83,21 +83,37 @@ typedef struct {
 
 const board_crash_t* board_crash(void);
 
-// ---- a new application (application.h) ----
+// ---- applications (application.h) ----
 
-// Keep UPDATE_CHUNK_BYTES of it; chunks come in order. Flash is slow: the first chunk of every 4 KiB may hold up the
-// main loop for the 400 ms a sector takes to erase at worst, any other for 3 ms. Nothing is armed and nothing moves
-// meanwhile.
+// Which one runs, IMAGE_*.
+typedef struct {
+    uint8_t slot;
+    uint8_t starts;  // unconfirmed so far, this one included; 0: confirmed
+    uint8_t why;
+    uint8_t flash;
+    uint32_t crc;
+} board_image_t;
+
+void board_image(board_image_t* image);
+
+// A host understood it: it is no longer on trial.
+void board_image_confirm(void);
+
+// Keep UPDATE_CHUNK_BYTES of a new one beside it; chunks come in order. Flash is slow: a write only begins here, and
+// goes on in board_update_run, 0.4 s for the first chunk of every 4 KiB at worst. No round waits for it.
 void board_update_write(uint32_t offset, const uint8_t* chunk);
 
-// What was kept so far, to be read.
-const uint8_t* board_update_staged(void);
+// Once a round. Is the flash still at work? Then nothing of the below is called, nor board_update_write.
+bool board_update_run(void);
+
+// What was kept, from a multiple of 4 on; `size` is one, too, and UPDATE_CHUNK_BYTES at most.
+void board_update_read(uint32_t offset, uint8_t* bytes, uint32_t size);
 
 // Does this entry point lie in the room an application has when it runs?
 bool board_update_starts_at(uint32_t entry);
 
-// What is staged is whole: it takes the place of the running one at the next reset.
-void board_update_commit(void);
+// What was kept is whole, with this CRC: it runs from the next reset on, for a trial.
+void board_update_commit(uint32_t crc);
 
 // ---- lines to hosts ----
 
@@ -114,6 +130,21 @@ size_t board_transmit(uint8_t line, const uint8_t* bytes, size_t size);
 
 // True when every byte handed over has left the line.
 bool board_transmitted(uint8_t line);
+
+// ---- which level means what ----
+
+#define POLARITY_LAMPS (POLARITY_PROJECTOR | POLARITY_LED)
+#define POLARITY_BURSTS (POLARITY_MICROWAVE | POLARITY_TRIGGER)
+#define POLARITY_OUTPUTS (POLARITY_LAMPS | POLARITY_BURSTS | POLARITY_CAMERA_TRIGGER)
+
+// From now on these outputs are driven, each at its dark level, which is high for those that are `inverted`; and a sync
+// input among `pins` counts rising edges if it is. Until then, from a reset on, no output of these is driven: a
+// resistor outside keeps it dark, whichever level that is. Everything else in this file speaks of them as if none were
+// inverted. Only while nothing is armed.
+void board_polarity(uint8_t pins, uint8_t inverted);
+
+// Outputs that are driven.
+uint8_t board_driven(void);
 
 // ---- sync input and lamp gates ----
 
@@ -167,6 +198,14 @@ typedef struct {
 
 void board_health(board_health_t* health);
 
+// ---- the cameras' clock ----
+
+// Triggers for cameras, one a period; they need no main loop. The end of each is the sync edge from now on, and what
+// the sync input does is nobody's. Width 0: none, and edges are those of the sync input. What runs already goes on
+// without a break. The first one may last longer, and the edge at its end is as good as any. Only while nothing is
+// armed, and after board_polarity.
+void board_camera_trigger(uint32_t period_ticks, uint32_t width_ticks);
+
 // ---- microwave ----
 
 typedef struct {
@@ -187,14 +226,43 @@ static inline bool board_chip(const board_burst_t* const burst, const uint32_t c
     return (chip < burst->length) && (((burst->chips[chip / 8U] >> (chip % 8U)) & 1U) != 0U);
 }
 
+// Eight chips from 8 * `index` on.
+static inline uint32_t board_chips(const board_burst_t* const burst, const uint32_t index)
+{
+    const uint32_t left = (burst->length > 8U * index) ? burst->length - 8U * index : 0U;
+    return (left == 0U) ? 0U : burst->chips[index] & ((left < 8U) ? (1U << left) - 1U : 0xFFU);
+}
+
+static inline uint32_t board_ones(uint32_t bits)
+{
+    uint32_t ones = 0;
+    for (; bits != 0U; bits &= bits - 1U) {
+        ones++;
+    }
+    return ones;
+}
+
 // How long the gate is high in one burst.
 static inline uint32_t board_on_ticks(const board_burst_t* const burst)
 {
     uint32_t on_chips = 0;
-    for (uint32_t chip = 0; chip < burst->length; chip++) {
-        on_chips += board_chip(burst, chip) ? 1U : 0U;
+    for (uint32_t i = 0; i < sizeof burst->chips; i++) {
+        on_chips += board_ones(board_chips(burst, i));
     }
     return on_chips * burst->chip_ticks;
+}
+
+// Runs of on-chips: every one ends with a chip whose next one is off.
+static inline uint32_t board_pulses(const board_burst_t* const burst)
+{
+    uint32_t pulses = 0;
+    uint32_t chips = board_chips(burst, 0U);
+    for (uint32_t i = 0; i < sizeof burst->chips; i++) {
+        const uint32_t next = board_chips(burst, i + 1U);
+        pulses += board_ones(chips & ~((chips >> 1) | (next << 7)));
+        chips = next;
+    }
+    return pulses;
 }
 
 // Chips before the first one that is on; 0 when none is.
@@ -202,9 +270,9 @@ static inline uint32_t board_first_on_chip(const board_burst_t* const burst)
 {
     uint32_t chip = 0;
     while ((chip < burst->length) && !board_chip(burst, chip)) {
-        chip++;
+        chip += (board_chips(burst, chip / 8U) == 0U) ? 8U : 1U;
     }
-    return (chip == burst->length) ? 0U : chip;
+    return (chip >= burst->length) ? 0U : chip;
 }
 
 // Chips up to and with the last one that is on; 0 when none is.

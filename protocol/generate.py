@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from generator import c, docs, javascript, python
+from generator import c, dispatch, docs, javascript, python
 from generator.schema import load
 from generator.vectors import vectors
 
@@ -26,6 +26,8 @@ def main(arguments: list[str]) -> int:
     files = {
         ROOT / "firmware/core/messages.h": c.c_header(protocol),
         ROOT / "firmware/core/messages.c": c.c_source(protocol),
+        ROOT / "firmware/core/dispatch.h": dispatch.dispatch_header(protocol),
+        ROOT / "firmware/core/dispatch.c": dispatch.dispatch_source(protocol),
         ROOT / "firmware/pins.h": c.c_pins(protocol),
         ROOT / "firmware/tests/vectors.c": c.c_vectors(protocol, golden),
         ROOT / "host/annulus/controller.py": python.controller_module(protocol),

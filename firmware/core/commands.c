@@ -1,9 +1,33 @@
-// What each command does. Every reply carries a status and the values that now hold, whether they were taken or not.
+// What each command does, once dispatch.c has found its fields in range and what it needs in place.
 
 #include "commands.h"
 
 #include "../board.h"
+#include "dispatch.h"
 #include "safety.h"
+
+#define FIELD_BOARD 2U  // its place in UPDATE_BEGIN, as `detail` names it
+
+uint8_t commands_refusal(const controller_t* const self, const uint8_t needs, const uint8_t range,
+                         uint8_t* const detail)
+{
+    if (range != RANGE_OK) {
+        *detail = range;
+        return STATUS_OUT_OF_RANGE;
+    }
+    if ((needs == NEEDS_MICROWAVE) && ((self->armed & ARM_MICROWAVE) == 0U)) {
+        return (self->fault != FAULT_NONE) ? STATUS_UNSAFE : STATUS_BAD_STATE;
+    }
+    const bool there = (needs == NEEDS_SESSION) ? (self->asking == self->session) : commands_allowed(self);
+    return ((needs == NEEDS_NOTHING) || there) ? STATUS_OK : STATUS_SCHEMA;
+}
+
+static uint8_t status_if(const bool taken)
+{
+    return taken ? STATUS_OK : STATUS_BAD_STATE;
+}
+
+// ---- leaving ----
 
 static void leave(controller_t* const self, const uint8_t where)
 {
@@ -11,329 +35,277 @@ static void leave(controller_t* const self, const uint8_t where)
     self->leaving_since = board_tick();
 }
 
-static void reset(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_reset(controller_t* const self, const command_reset_t* const command, reply_reset_t* const reply)
 {
-    (void)line;
-    command_reset_t command;
-    command_reset_unpack(&command, payload);
-    const bool meant = command.magic == RESET_MAGIC;
-    if (meant) {
-        leave(self, LEAVE_TO_START);
-        safety_arm(self, 0U);
+    (void)reply;
+    if (command->magic != RESET_MAGIC) {
+        return STATUS_OUT_OF_RANGE;
     }
-    reply_reset_pack(&(reply_reset_t){.status = meant ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
+    leave(self, LEAVE_TO_START);
+    return safety_arm(self, 0U);
 }
 
 // Unlike a reset it is refused while anything is armed or moves: nobody flashes a head at work by mistake. And without
 // a USB host, since the boot loader speaks nothing else: a head on the UART alone would be silent for good.
-static void bootloader(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                       uint8_t* const answer)
+uint8_t execute_bootloader(controller_t* const self, const command_bootloader_t* const command,
+                           reply_bootloader_t* const reply)
 {
-    (void)line;
-    command_bootloader_t command;
-    command_bootloader_unpack(&command, payload);
-    reply_bootloader_t reply = {.status = STATUS_OUT_OF_RANGE};
-    if (command.magic == BOOTLOADER_MAGIC) {
-        const bool busy = (self->armed != 0U) || self->turntable.moving;
-        const bool stranded = !board_bootloader_reachable();
-        reply.status = (busy || stranded) ? STATUS_BAD_STATE : STATUS_OK;
-        reply.detail = (!busy && stranded) ? BOOTLOADER_NEEDS_USB : 0U;
-        if (reply.status == STATUS_OK) {
-            leave(self, LEAVE_TO_BOOTLOADER);
-        }
+    if (command->magic != BOOTLOADER_MAGIC) {
+        return STATUS_OUT_OF_RANGE;
     }
-    reply_bootloader_pack(&reply, answer);
+    if ((self->armed != 0U) || self->turntable.moving) {
+        return STATUS_BAD_STATE;
+    }
+    if (!board_bootloader_reachable()) {
+        reply->detail = BOOTLOADER_NEEDS_USB;
+        return STATUS_BAD_STATE;
+    }
+    leave(self, LEAVE_TO_BOOTLOADER);
+    return STATUS_OK;
 }
 
-static void stage(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+// ---- lamps ----
+
+// What was staged, if it was just now, or was committed; else what is in force.
+static uint8_t generation_after(const controller_t* const self, const uint8_t status)
 {
-    command_stage_t command;
-    command_stage_unpack(&command, payload);
-    reply_stage_t reply = {.generation = self->sequencer.config.generation};
-    reply.detail = command_stage_range(&command);
-    if (reply.detail != RANGE_OK) {
-        reply.status = STATUS_OUT_OF_RANGE;
-    } else {
-        reply.detail = 0;
-        reply.status =
-            commands_allowed(self, line) ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
-    }
-    reply_stage_pack(&reply, answer);
+    return (status == STATUS_OK) ? self->sequencer.staged.generation : self->sequencer.config.generation;
 }
 
-static void preamble(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_stage(controller_t* const self, const command_stage_t* const command, reply_stage_t* const reply)
 {
-    command_preamble_t command;
-    command_preamble_unpack(&command, payload);
-    reply_preamble_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_preamble_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        reply.status = STATUS_SCHEMA;
-        if (commands_allowed(self, line)) {
-            reply.status = STATUS_OK;
-            sequencer_preamble(&self->sequencer, &command);
-        }
-    }
-    reply.length = self->sequencer.preamble.config.length;
-    reply.interval = self->sequencer.preamble.config.interval;
-    reply_preamble_pack(&reply, answer);
+    return sequencer_stage(&self->sequencer, command, reply);
 }
 
-static void commit(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+void holds_stage(const controller_t* const self, reply_stage_t* const reply)
 {
-    command_commit_t command;
-    command_commit_unpack(&command, payload);
-    reply_commit_t reply = {.status = STATUS_SCHEMA, .generation = self->sequencer.config.generation};
-    if (commands_allowed(self, line)) {
-        const bool taken = sequencer_commit(&self->sequencer, command.generation);
-        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
-        reply.generation = taken ? command.generation : reply.generation;
-    }
-    reply_commit_pack(&reply, answer);
+    reply->generation = generation_after(self, reply->status);
 }
 
-static void arm(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_polarity(controller_t* const self, const command_polarity_t* const command,
+                         reply_polarity_t* const reply)
 {
-    command_arm_t command;
-    command_arm_unpack(&command, payload);
-    const bool known = (command.outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
-    const bool allowed = (command.outputs == 0U) || commands_allowed(self, line);
-    const bool busy = self->update.under_way && (command.outputs != 0U);  // writing flash holds up the main loop
+    (void)reply;
+    return status_if((self->armed == 0U) && sequencer_polarity(&self->sequencer, command));
+}
+
+void holds_polarity(const controller_t* const self, reply_polarity_t* const reply)
+{
+    if (self->sequencer.is_staged) {
+        reply->generation = self->sequencer.staged.generation;
+        reply->inverted = self->sequencer.staged_wiring.inverted;
+    }
+}
+
+uint8_t execute_camera_trigger(controller_t* const self, const command_camera_trigger_t* const command,
+                               reply_camera_trigger_t* const reply)
+{
+    return (self->armed != 0U) ? STATUS_BAD_STATE : sequencer_camera_trigger(&self->sequencer, command, &reply->detail);
+}
+
+void holds_camera_trigger(const controller_t* const self, reply_camera_trigger_t* const reply)
+{
+    if (self->sequencer.is_staged) {
+        reply->generation = self->sequencer.staged.generation;
+        reply->width = self->sequencer.staged_wiring.trigger_ticks;
+    }
+}
+
+uint8_t execute_commit(controller_t* const self, const command_commit_t* const command, reply_commit_t* const reply)
+{
+    (void)reply;
+    return status_if(sequencer_commit(&self->sequencer, command->generation, self->armed != 0U));
+}
+
+void holds_commit(const controller_t* const self, reply_commit_t* const reply)
+{
+    reply->generation = generation_after(self, reply->status);
+}
+
+uint8_t execute_preamble(controller_t* const self, const command_preamble_t* const command,
+                         reply_preamble_t* const reply)
+{
+    (void)reply;
+    sequencer_preamble(&self->sequencer, command);
+    return STATUS_OK;
+}
+
+void holds_preamble(const controller_t* const self, reply_preamble_t* const reply)
+{
+    reply->length = self->sequencer.preamble.config.length;
+    reply->interval = self->sequencer.preamble.config.interval;
+}
+
+// ---- arming ----
+
+// Anybody may disarm; so who may arm is no matter of the schema's `needs`.
+uint8_t execute_arm(controller_t* const self, const command_arm_t* const command, reply_arm_t* const reply)
+{
+    const bool known = (command->outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
+    const bool allowed = (command->outputs == 0U) || commands_allowed(self);
+    const bool busy = self->update.under_way && (command->outputs != 0U);  // writing flash holds up the main loop
     const uint8_t refused = !known ? STATUS_OUT_OF_RANGE : !allowed ? STATUS_SCHEMA : STATUS_BAD_STATE;
-    const uint8_t outcome = (known && allowed && !busy) ? safety_arm(self, command.outputs) : refused;
-    reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
+    const uint8_t status = (known && allowed && !busy) ? safety_arm(self, command->outputs) : refused;
+    reply->outputs = self->armed;
+    return status;
 }
 
-static void clear(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_clear(controller_t* const self, reply_clear_t* const reply)
 {
-    (void)payload;
-    const uint8_t outcome = safety_clear(self);
-    const uint8_t fault = events_fault_at_level(self->fault, self->level[line]);
-    reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = fault}, answer);
+    const uint8_t status = safety_clear(self);
+    reply->fault = events_fault_at_level(self->fault, self->level[self->asking]);
+    return status;
 }
 
-static void pattern(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+// ---- microwave ----
+
+uint8_t execute_pattern(controller_t* const self, const command_pattern_t* const command, reply_pattern_t* const reply)
 {
-    command_pattern_t command;
-    command_pattern_unpack(&command, payload);
-    reply_pattern_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_pattern_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        reply.status =
-            commands_allowed(self, line) ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
-    }
-    reply.length = self->bursts.uploaded.length;
-    reply_pattern_pack(&reply, answer);
+    return bursts_upload(&self->bursts, command, &reply->detail);
 }
 
-static void burst(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+void holds_pattern(const controller_t* const self, reply_pattern_t* const reply)
 {
-    command_burst_t command;
-    command_burst_unpack(&command, payload);
-    reply_burst_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_burst_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        if ((self->armed & ARM_MICROWAVE) == 0U) {
-            reply.status = (self->fault != FAULT_NONE) ? STATUS_UNSAFE : STATUS_BAD_STATE;
-        } else if (!commands_allowed(self, line)) {
-            reply.status = STATUS_SCHEMA;
-        } else {
-            bool refused = false;
-            reply.status = bursts_fire(&self->bursts, &command, &reply, &refused);
-            safety_insist(self, !refused, OUTPUT_MICROWAVE);
-        }
-    }
-    reply_burst_pack(&reply, answer);
+    reply->length = self->bursts.uploaded.length;
 }
 
-static void burst_stop(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                       uint8_t* const answer)
+uint8_t execute_burst(controller_t* const self, const command_burst_t* const command, reply_burst_t* const reply)
+{
+    bool refused = false;
+    const uint8_t status = bursts_fire(&self->bursts, command, reply, &refused);
+    safety_insist(self, !refused, OUTPUT_MICROWAVE);
+    return status;
+}
+
+uint8_t execute_burst_stop(controller_t* const self, reply_burst_stop_t* const reply)
 {
     (void)self;
-    (void)line;
-    (void)payload;
     board_burst_stop();
-    reply_burst_stop_t reply = {.status = STATUS_OK};
-    board_burst_running(&reply.done);
-    reply_burst_stop_pack(&reply, answer);
+    board_burst_running(&reply->done);
+    return STATUS_OK;
 }
 
-static void move(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+// ---- turntable ----
+
+uint8_t execute_move(controller_t* const self, const command_move_t* const command, reply_move_t* const reply)
 {
-    command_move_t command;
-    command_move_unpack(&command, payload);
-    reply_move_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_move_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        if (!commands_allowed(self, line)) {
-            reply.status = STATUS_SCHEMA;
-        } else if ((self->fault != FAULT_NONE) || board_interlock_open()) {
-            reply.status = STATUS_UNSAFE;
-        } else if (self->update.under_way) {
-            reply.status = STATUS_BAD_STATE;
-        } else {
-            reply.status = turntable_move(&self->turntable, &command, &reply.detail);
-        }
+    if ((self->fault != FAULT_NONE) || board_interlock_open()) {
+        return STATUS_UNSAFE;
     }
-    reply.position = board_turntable_position();
-    reply_move_pack(&reply, answer);
+    return self->update.under_way ? STATUS_BAD_STATE : turntable_move(&self->turntable, command, &reply->detail);
 }
 
-static void turntable(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+void holds_move(const controller_t* const self, reply_move_t* const reply)
 {
-    command_turntable_t command;
-    command_turntable_unpack(&command, payload);
-    reply_turntable_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_turntable_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        reply.status = commands_allowed(self, line) ? turntable_configure(&self->turntable, &command, &reply.detail)
-                                                    : STATUS_SCHEMA;
-    }
+    (void)self;
+    reply->position = board_turntable_position();
+}
+
+uint8_t execute_turntable(controller_t* const self, const command_turntable_t* const command,
+                          reply_turntable_t* const reply)
+{
+    return turntable_configure(&self->turntable, command, &reply->detail);
+}
+
+void holds_turntable(const controller_t* const self, reply_turntable_t* const reply)
+{
     const command_turntable_t* const config = &self->turntable.config;
-    reply.lowest = config->lowest;
-    reply.highest = config->highest;
-    reply.acceleration = config->acceleration;
-    reply.start_period = config->start_period;
-    reply.switches = config->switches;
-    reply_turntable_pack(&reply, answer);
+    reply->lowest = config->lowest;
+    reply->highest = config->highest;
+    reply->acceleration = config->acceleration;
+    reply->start_period = config->start_period;
+    reply->switches = config->switches;
 }
 
-static void stop_turntable(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                           uint8_t* const answer)
+uint8_t execute_turntable_stop(controller_t* const self, reply_turntable_stop_t* const reply)
 {
-    (void)line;
-    (void)payload;
     turntable_stop(&self->turntable, STOP_CAUSE_STOPPED);
-    reply_turntable_stop_pack(&(reply_turntable_stop_t){.status = STATUS_OK, .position = board_turntable_position()},
-                              answer);
+    reply->position = board_turntable_position();
+    return STATUS_OK;
 }
 
-static void interlock(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_interlock(controller_t* const self, const command_interlock_t* const command,
+                          reply_interlock_t* const reply)
 {
-    command_interlock_t command;
-    command_interlock_unpack(&command, payload);
-    reply_interlock_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_interlock_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        reply.status = commands_allowed(self, line) ? safety_interlock(self, command.inputs) : STATUS_SCHEMA;
-    }
-    reply.inputs = board_interlock();
-    reply_interlock_pack(&reply, answer);
+    (void)reply;
+    return safety_interlock(self, command->inputs);
 }
+
+void holds_interlock(const controller_t* const self, reply_interlock_t* const reply)
+{
+    (void)self;
+    reply->inputs = board_interlock();
+}
+
+// ---- the board's own pins ----
 
 // The odometer pays for it: so nobody begins one on a head at work.
-static void measure(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+uint8_t execute_measure(controller_t* const self, const command_measure_t* const command, reply_measure_t* const reply)
 {
-    command_measure_t command;
-    command_measure_unpack(&command, payload);
-    reply_measure_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_measure_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        if (!commands_allowed(self, line)) {
-            reply.status = STATUS_SCHEMA;
-        } else if ((command.looks > 0U) && (self->armed != 0U) && !board_measuring()) {
-            reply.status = STATUS_BAD_STATE;
-        } else {
-            reply.status = STATUS_OK;
-            board_measure(&(board_look_t){.looks = command.looks,
-                                          .pin = command.pin,
-                                          .level = command.level,
-                                          .first = command.first,
-                                          .delay_ticks = command.delay});
-        }
+    (void)reply;
+    if ((command->looks > 0U) && (self->armed != 0U) && !board_measuring()) {
+        return STATUS_BAD_STATE;
     }
-    reply_measure_pack(&reply, answer);
+    board_measure(&(board_look_t){.looks = command->looks,
+                                  .pin = command->pin,
+                                  .level = command->level,
+                                  .first = command->first,
+                                  .delay_ticks = command->delay});
+    if (command->looks > 0U) {
+        sequencer_measures(&self->sequencer);
+    }
+    return STATUS_OK;
 }
+
+// ---- a new application ----
 
 // Unlike what drives outputs, an update needs no common schema: it must be open to whoever cannot do anything else.
-static void update_begins(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                          uint8_t* const answer)
+// That it is for another board is told to anybody, the session's line or not.
+uint8_t execute_update_begin(controller_t* const self, const command_update_begin_t* const command,
+                             reply_update_begin_t* const reply)
 {
-    command_update_begin_t command;
-    command_update_begin_unpack(&command, payload);
-    reply_update_begin_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_update_begin_range(&command)};
-    for (size_t i = 0; (i < sizeof command.board) && (reply.detail == RANGE_OK); i++) {
-        reply.detail = (command.board[i] == board_name()[i]) ? RANGE_OK : 2U;  // the field `board`
-    }
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        if (line != self->session) {
-            reply.status = STATUS_SCHEMA;
-        } else if ((self->armed != 0U) || self->turntable.moving) {
-            reply.status = STATUS_BAD_STATE;
-        } else {
-            reply.status = STATUS_OK;
-            update_begin(&self->update, command.size, command.crc, board_tick());
+    for (size_t i = 0; i < sizeof command->board; i++) {
+        if (command->board[i] != board_name()[i]) {
+            reply->detail = FIELD_BOARD;
+            return STATUS_OUT_OF_RANGE;
         }
     }
-    reply.next = self->update.next;
-    reply_update_begin_pack(&reply, answer);
-}
-
-static void update_data(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                        uint8_t* const answer)
-{
-    command_update_data_t command;
-    command_update_data_unpack(&command, payload);
-    reply_update_data_t reply = {.status = STATUS_SCHEMA};
-    if (line == self->session) {
-        const bool taken = update_take(&self->update, command.offset, command.chunk, board_tick(), &reply.detail);
-        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
+    if (self->asking != self->session) {
+        return STATUS_SCHEMA;
     }
-    reply.next = self->update.next;
-    reply_update_data_pack(&reply, answer);
-}
-
-static void update_end(controller_t* const self, const uint8_t line, const uint8_t* const payload,
-                       uint8_t* const answer)
-{
-    (void)payload;
-    reply_update_end_t reply = {.status = STATUS_SCHEMA};
-    if (line == self->session) {
-        const bool taken = update_finish(&self->update, &reply.detail);
-        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
-        if (taken) {
-            leave(self, LEAVE_TO_START);
-        }
+    if ((self->armed != 0U) || self->turntable.moving) {
+        return STATUS_BAD_STATE;
     }
-    reply.next = self->update.next;
-    reply_update_end_pack(&reply, answer);
+    update_begin(&self->update, command->size, command->crc, board_tick());
+    return STATUS_OK;
 }
 
-// The link lets through no id without a layout, and every command has one here.
-static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer) = {
-    [COMMAND_IDENTIFY] = query_identify,
-    [COMMAND_RESET] = reset,
-    [COMMAND_PING] = query_ping,
-    [COMMAND_STATUS] = query_status,
-    [COMMAND_STAGE] = stage,
-    [COMMAND_COMMIT] = commit,
-    [COMMAND_PREAMBLE] = preamble,
-    [COMMAND_ARM] = arm,
-    [COMMAND_CLEAR] = clear,
-    [COMMAND_REREAD] = query_reread,
-    [COMMAND_HEALTH] = query_health,
-    [COMMAND_PATTERN] = pattern,
-    [COMMAND_BURST] = burst,
-    [COMMAND_BURST_STOP] = burst_stop,
-    [COMMAND_MOVE] = move,
-    [COMMAND_BOOTLOADER] = bootloader,
-    [COMMAND_TURNTABLE] = turntable,
-    [COMMAND_TURNTABLE_STOP] = stop_turntable,
-    [COMMAND_INTERLOCK] = interlock,
-    [COMMAND_HARDWARE] = query_hardware,
-    [COMMAND_MEASURE] = measure,
-    [COMMAND_SAMPLES] = query_samples,
-    [COMMAND_INFO] = query_info,
-    [COMMAND_CONFIGURATION] = query_configuration,
-    [COMMAND_CRASH] = query_crash,
-    [COMMAND_UPDATE_BEGIN] = update_begins,
-    [COMMAND_UPDATE_DATA] = update_data,
-    [COMMAND_UPDATE_END] = update_end,
-};
-
-void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,
-                      uint8_t reply[const PAYLOAD_MAX])
+void holds_update_begin(const controller_t* const self, reply_update_begin_t* const reply)
 {
-    handlers[command->layout->id](self, line, command->payload, reply);
+    reply->next = self->update.next;
+}
+
+uint8_t execute_update_data(controller_t* const self, const command_update_data_t* const command,
+                            reply_update_data_t* const reply)
+{
+    return status_if(update_take(&self->update, command->offset, command->chunk, board_tick(), &reply->detail));
+}
+
+void holds_update_data(const controller_t* const self, reply_update_data_t* const reply)
+{
+    reply->next = self->update.next;
+}
+
+uint8_t execute_update_end(controller_t* const self, reply_update_end_t* const reply)
+{
+    const bool taken = update_finish(&self->update, &reply->detail);
+    if (taken) {
+        leave(self, LEAVE_TO_START);
+    }
+    return status_if(taken);
+}
+
+void holds_update_end(const controller_t* const self, reply_update_end_t* const reply)
+{
+    reply->next = self->update.next;
 }

@@ -1,29 +1,20 @@
-// What each command does. queries.c has those that change nothing, commands.c all others.
+// What each command does. queries.c has those that change nothing, commands.c all others; what the schema says of them
+// (layout, range, needs) is in dispatch.c, which is generated.
 
 #ifndef ANNULUS_COMMANDS_H
 #define ANNULUS_COMMANDS_H
 
 #include "controller.h"
 
-// Carry out a command that came over this line; its reply's payload.
-void commands_execute(controller_t* self, uint8_t line, const command_t* command, uint8_t reply[PAYLOAD_MAX]);
-
-// May this line's host change anything? The one that identified last, and knows what it says.
-static inline bool commands_allowed(const controller_t* const self, const uint8_t line)
+// May the host whose command is being carried out change anything? The one that identified last, and knows what it
+// says.
+static inline bool commands_allowed(const controller_t* const self)
 {
-    return self->schema_ok && (line == self->session);
+    return self->schema_ok && (self->asking == self->session);
 }
 
-// A command each: its payload, and the reply's to be filled in.
-void query_identify(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_ping(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_status(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_info(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_configuration(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_crash(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_health(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_hardware(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_reread(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
-void query_samples(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+// STATUS_OK, or why the command being carried out is refused: a field out of range (`range`: its index, or RANGE_OK),
+// or what it NEEDS_* is not there. `detail` goes with it.
+uint8_t commands_refusal(const controller_t* self, uint8_t needs, uint8_t range, uint8_t* detail);
 
 #endif

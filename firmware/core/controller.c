@@ -6,7 +6,7 @@
 
 #include "../board.h"
 #include "../ticks.h"
-#include "commands.h"
+#include "dispatch.h"
 #include "safety.h"
 
 #define HUSH_TICKS (TICK_HZ / 10U)           // an encoder gone bad must not fill the line with its reports
@@ -61,30 +61,45 @@ static void watch_connection(controller_t* const self, const uint8_t line)
         link_start(&self->links[line]);
         memset(&self->rereads[line], 0, sizeof self->rereads[line]);
         self->level[line] = 1;
+        self->holds[line] = false;
     }
     self->connected[line] = connected;
 }
 
-// One command a line and round at most, so that no round is long.
+static bool needs_flash(const command_t* const command)
+{
+    const uint8_t id = command->layout->id;
+    return (id == COMMAND_UPDATE_BEGIN) || (id == COMMAND_UPDATE_DATA) || (id == COMMAND_UPDATE_END);
+}
+
+static void execute(controller_t* const self, const uint8_t line, const command_t* const command)
+{
+    uint8_t reply[PAYLOAD_MAX];
+    board_trail()->part = PART_COMMAND;
+    board_trail()->command = command->layout->id;
+    dispatch(self, line, command, reply);
+    link_reply(&self->links[line], command, reply);
+}
+
+// One command a line and round at most, so that no round is long. An update's waits while the flash is at work, and
+// nothing more is taken from its line.
 static void receive(controller_t* const self, const uint8_t line)
 {
     link_t* const link = &self->links[line];
-    command_t command;
-    bool complete = false;
+    command_t* const held = &self->held[line];
+    bool complete = self->holds[line];
     uint8_t byte;
     while (!complete && (self->leaving == LEAVE_NOT) && link_has_room(link) && (board_receive(line, &byte, 1U) == 1U)) {
         bool heard = false;
-        complete = link_receive(link, byte, &command, &heard);
+        complete = link_receive(link, byte, held, &heard);
         if (heard && (line == self->session)) {  // whoever only looks on keeps nothing alight
             self->heard = board_tick();
         }
     }
-    if (complete) {
-        uint8_t reply[PAYLOAD_MAX];
-        board_trail()->part = PART_COMMAND;
-        board_trail()->command = command.layout->id;
-        commands_execute(self, line, &command, reply);
-        link_reply(link, &command, reply);
+    self->holds[line] = complete && needs_flash(held) && self->flash_busy;
+    if (complete && !self->holds[line]) {
+        execute(self, line, held);
+        self->flash_busy = board_update_run();
     }
 }
 
@@ -122,7 +137,8 @@ static bool may_leave(const controller_t* const self)
     for (uint8_t line = 0; line < LINES; line++) {
         quiet = quiet && link_idle(&self->links[line]) && board_transmitted(line);
     }
-    return quiet || (ticks_since(board_tick(), self->leaving_since) > LEAVE_TICKS);
+    const bool waited = ticks_since(board_tick(), self->leaving_since) > LEAVE_TICKS;
+    return (quiet || waited) && !self->flash_busy;
 }
 
 void controller_run(controller_t* const self)
@@ -131,6 +147,7 @@ void controller_run(controller_t* const self)
     board_microwave_feed();
     board_trail_t* const trail = board_trail();
     trail->rounds++;
+    self->flash_busy = board_update_run();
     if ((self->leaving != LEAVE_NOT) && may_leave(self)) {
         if (self->leaving == LEAVE_TO_BOOTLOADER) {
             board_bootloader();

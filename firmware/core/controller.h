@@ -30,14 +30,18 @@ typedef struct {
     bool connected[LINES];  // at the last look
     uint8_t session;        // line whose host identified last: it commands, and gets the events
     bool schema_ok;         // and speaks our schema
+    uint8_t asking;         // line whose command is being carried out
     uint8_t level[LINES];   // at which a line's host is spoken to
     rereads_t rereads[LINES];
+    command_t held[LINES];  // an update's, while the flash is at work
+    bool holds[LINES];
     events_t events;
     sequencer_t sequencer;
     bursts_t bursts;
     update_t update;
-    uint8_t armed;  // ARM_*
-    uint8_t fault;  // latched, FAULT_*
+    bool flash_busy;  // in this round
+    uint8_t armed;    // ARM_*
+    uint8_t fault;    // latched, FAULT_*
     safety_interlock_t interlock;
     turntable_t turntable;
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left

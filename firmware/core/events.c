@@ -121,8 +121,8 @@ event_t events_at_level(const event_t* const event, const uint8_t level)
             fault.fault = latches(fault.fault) ? nearest(fault.fault) : FAULT_NONE;
             event_fault_pack(&fault, said.payload);
         }
-    } else if ((event->id == EVENT_EDGE) && (level <= 1U)) {
-        said.payload[EVENT_EDGE_LENGTH - 1U] &= EDGE_AT_LEVEL_1;  // `flags` comes last
+    } else if (event->id == EVENT_EDGE) {
+        said.payload[EVENT_EDGE_LENGTH - 1U] &= (uint8_t)edge_flags_at_level(level);  // `flags` comes last
     } else if (event->id == EVENT_BURST_DONE) {
         event_burst_done_t done;
         event_burst_done_unpack(&done, event->payload);

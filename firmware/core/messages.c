@@ -641,7 +641,7 @@ uint8_t command_update_begin_range(const command_update_begin_t* const self)
     if (self->size < 256U) {
         return 0U;
     }
-    if (self->size > 28672U) {
+    if (self->size > 65536U) {
         return 0U;
     }
     return RANGE_OK;
@@ -699,6 +699,28 @@ void reply_update_end_unpack(reply_update_end_t* const self, const uint8_t* cons
     self->status = get8(payload + 0);
     self->detail = get8(payload + 1);
     self->next = get32(payload + 2);
+}
+
+void reply_image_pack(const reply_image_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->slot);
+    put8(payload + 3, self->starts);
+    put8(payload + 4, self->why);
+    put8(payload + 5, self->flash);
+    put32(payload + 6, self->crc);
+}
+
+void reply_image_unpack(reply_image_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->slot = get8(payload + 2);
+    self->starts = get8(payload + 3);
+    self->why = get8(payload + 4);
+    self->flash = get8(payload + 5);
+    self->crc = get32(payload + 6);
 }
 
 void command_measure_pack(const command_measure_t* const self, uint8_t* const payload)
@@ -825,6 +847,101 @@ void reply_preamble_unpack(reply_preamble_t* const self, const uint8_t* const pa
     self->detail = get8(payload + 1);
     self->length = get8(payload + 2);
     self->interval = get16(payload + 3);
+}
+
+void command_polarity_pack(const command_polarity_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->generation);
+    put8(payload + 1, self->inverted);
+}
+
+void command_polarity_unpack(command_polarity_t* const self, const uint8_t* const payload)
+{
+    self->generation = get8(payload + 0);
+    self->inverted = get8(payload + 1);
+}
+
+uint8_t command_polarity_range(const command_polarity_t* const self)
+{
+    if (self->generation < 1U) {
+        return 0U;
+    }
+    if (self->inverted > 63U) {
+        return 1U;
+    }
+    return RANGE_OK;
+}
+
+void reply_polarity_pack(const reply_polarity_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put8(payload + 3, self->inverted);
+}
+
+void reply_polarity_unpack(reply_polarity_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->inverted = get8(payload + 3);
+}
+
+void command_camera_trigger_pack(const command_camera_trigger_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->generation);
+    put32(payload + 1, self->width);
+}
+
+void command_camera_trigger_unpack(command_camera_trigger_t* const self, const uint8_t* const payload)
+{
+    self->generation = get8(payload + 0);
+    self->width = get32(payload + 1);
+}
+
+uint8_t command_camera_trigger_range(const command_camera_trigger_t* const self)
+{
+    if (self->generation < 1U) {
+        return 0U;
+    }
+    return RANGE_OK;
+}
+
+void reply_camera_trigger_pack(const reply_camera_trigger_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put32(payload + 3, self->width);
+}
+
+void reply_camera_trigger_unpack(reply_camera_trigger_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->width = get32(payload + 3);
+}
+
+void reply_wiring_pack(const reply_wiring_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put8(payload + 3, self->inverted);
+    put8(payload + 4, self->driven);
+    put32(payload + 5, self->camera_trigger);
+}
+
+void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->inverted = get8(payload + 3);
+    self->driven = get8(payload + 4);
+    self->camera_trigger = get32(payload + 5);
 }
 
 void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
@@ -1124,18 +1241,26 @@ static const layout_t layouts[] = {
     {0x4F, 38, 0xEF, 0, 2},  // reply configuration
     {0x10, 0, 0x54, 1, 2},  // command crash
     {0x50, 35, 0x20, 0, 2},  // reply crash
-    {0x14, 16, 0xB4, 0, 2},  // command update_begin
+    {0x14, 16, 0xC9, 0, 2},  // command update_begin
     {0x54, 6, 0x62, 0, 2},  // reply update_begin
     {0x15, 36, 0xEA, 0, 2},  // command update_data
     {0x55, 6, 0xA6, 0, 2},  // reply update_data
     {0x16, 0, 0x0F, 0, 2},  // command update_end
     {0x56, 6, 0xD6, 0, 2},  // reply update_end
+    {0x1F, 0, 0x58, 1, 3},  // command image
+    {0x5F, 10, 0x4F, 0, 3},  // reply image
     {0x17, 9, 0x07, 0, 2},  // command measure
     {0x57, 2, 0xCC, 0, 2},  // reply measure
     {0x18, 2, 0x93, 1, 2},  // command samples
     {0x58, 37, 0x89, 0, 2},  // reply samples
     {0x19, 4, 0xA2, 0, 2},  // command preamble
     {0x59, 5, 0x39, 0, 2},  // reply preamble
+    {0x1A, 2, 0xD7, 0, 3},  // command polarity
+    {0x5A, 4, 0xB9, 0, 3},  // reply polarity
+    {0x1B, 5, 0xBC, 0, 3},  // command camera_trigger
+    {0x5B, 7, 0x99, 0, 3},  // reply camera_trigger
+    {0x1C, 0, 0x82, 1, 3},  // command wiring
+    {0x5C, 9, 0x70, 0, 3},  // reply wiring
     {0x12, 17, 0x00, 0, 2},  // command turntable
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
@@ -1187,4 +1312,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x63, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0xFF, 0x00, 0x00, 0x00, 0x00};

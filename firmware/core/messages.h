@@ -19,7 +19,7 @@
 #define TRIGGER_TICKS 100U  // length of the digitizer trigger
 #define HOST_TIMEOUT_DEFAULT_MS 500U  // of a configuration that says 0
 #define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
-#define UPDATE_MAX_BYTES 28672U  // largest application: the 32 KiB of the whole image without its loader
+#define UPDATE_MAX_BYTES 65536U  // largest application: a slot of flash
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
 #define INTERLOCK_DISAGREE_MS 5U  // two interlock inputs may contradict each other for so long: a relay's contacts
 #define PREAMBLE_MAX 63U  // edges of a preamble
@@ -37,6 +37,7 @@
 #define BURST_PERIOD_MAX_TICKS 100000000U  // longest burst period; the shortest is the chips and one more
 #define BURST_PERIOD_MIN_TICKS 600U  // and never shorter than this: a burst that is all dark has no duty to say so
 #define BURST_REPEAT_MAX 65535U  // bursts of a train
+#define CAMERA_TRIGGER_MIN_TICKS 100U  // shortest trigger of a camera, and shortest rest between two
 #define TURNTABLE_PERIOD_MIN_TICKS 10000U  // fastest step to step
 #define TURNTABLE_POSITION_MAX_STEPS 500000000U  // farthest from where it stood at reset, either way
 #define TURNTABLE_ACCELERATION_MAX 10000000U  // steps per second, a second
@@ -104,6 +105,7 @@ enum {
     CRASH_NONE = 0,
     CRASH_HARD_FAULT = 1,
     CRASH_STUCK = 2,
+    CRASH_DAMAGED = 3,
 };
 
 enum {
@@ -138,12 +140,35 @@ enum {
     UPDATE_REFUSAL_FOREIGN = 3,
 };
 
+enum {
+    IMAGE_WHY_RECORDED = 0,
+    IMAGE_WHY_GIVEN_UP = 1,
+    IMAGE_WHY_DAMAGED = 2,
+};
+
+enum {
+    IMAGE_FLASH_UNCHECKED = 0,
+    IMAGE_FLASH_WHOLE = 1,
+    IMAGE_FLASH_DAMAGED = 2,
+};
+
 #define EDGE_LATE_LOAD 1U
 #define EDGE_IRREGULAR 2U
 #define EDGE_FIRST 4U
 #define EDGE_DISARMED 8U
 #define EDGE_PREAMBLE 16U
-#define EDGE_AT_LEVEL_1 15U  // of these, what a host of level 1 knows
+#define EDGE_ODOMETER_FROZEN 32U
+// Of the flags of `edge`, those that a host of this level knows.
+static inline uint32_t edge_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 15U;
+    }
+    if (level < 3U) {
+        return 31U;
+    }
+    return 63U;
+}
 
 #define STATE_SYNCED 1U
 #define STATE_LAMPS_ARMED 2U
@@ -154,17 +179,53 @@ enum {
 #define STATE_STAGED 64U
 #define STATE_SCHEMA_OK 128U
 #define STATE_TURNTABLE_LOST 256U
-#define STATE_AT_LEVEL_1 255U  // of these, what a host of level 1 knows
+// Of the flags of `state`, those that a host of this level knows.
+static inline uint32_t state_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 255U;
+    }
+    return 511U;
+}
 
 #define TURNTABLE_END_LOW 1U
 #define TURNTABLE_END_HIGH 2U
 #define TURNTABLE_END_HARD 4U
-#define TURNTABLE_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
+// Of the flags of `turntable`, those that a host of this level knows.
+static inline uint32_t turntable_flags_at_level(const uint8_t level)
+{
+    if (level < 2U) {
+        return 0U;
+    }
+    return 7U;
+}
 
 #define INTERLOCK_ANTIVALENT 1U
 #define INTERLOCK_OPEN 2U
 #define INTERLOCK_ANTIVALENT_OPEN 4U
-#define INTERLOCK_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
+// Of the flags of `interlock`, those that a host of this level knows.
+static inline uint32_t interlock_flags_at_level(const uint8_t level)
+{
+    if (level < 3U) {
+        return 0U;
+    }
+    return 7U;
+}
+
+#define POLARITY_SYNC 1U
+#define POLARITY_PROJECTOR 2U
+#define POLARITY_LED 4U
+#define POLARITY_MICROWAVE 8U
+#define POLARITY_TRIGGER 16U
+#define POLARITY_CAMERA_TRIGGER 32U
+// Of the flags of `polarity`, those that a host of this level knows.
+static inline uint32_t polarity_flags_at_level(const uint8_t level)
+{
+    if (level < 3U) {
+        return 0U;
+    }
+    return 63U;
+}
 
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
@@ -212,12 +273,20 @@ enum {
     REPLY_UPDATE_DATA = 0x55,
     COMMAND_UPDATE_END = 0x16,
     REPLY_UPDATE_END = 0x56,
+    COMMAND_IMAGE = 0x1F,
+    REPLY_IMAGE = 0x5F,
     COMMAND_MEASURE = 0x17,
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
     REPLY_SAMPLES = 0x58,
     COMMAND_PREAMBLE = 0x19,
     REPLY_PREAMBLE = 0x59,
+    COMMAND_POLARITY = 0x1A,
+    REPLY_POLARITY = 0x5A,
+    COMMAND_CAMERA_TRIGGER = 0x1B,
+    REPLY_CAMERA_TRIGGER = 0x5B,
+    COMMAND_WIRING = 0x1C,
+    REPLY_WIRING = 0x5C,
     COMMAND_TURNTABLE = 0x12,
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
@@ -638,7 +707,7 @@ typedef struct {
 void reply_update_begin_pack(const reply_update_begin_t* self, uint8_t* payload);
 void reply_update_begin_unpack(reply_update_begin_t* self, const uint8_t* payload);
 
-// One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as long as the flash needs to erase.
+// One chunk of it. Chunks come in order; one that is there already changes nothing. It is carried out once the flash has erased and written what came before: after the first of every 4 KiB that may take 0.4 s.
 #define COMMAND_UPDATE_DATA_LENGTH 36U
 typedef struct {
     uint32_t offset;  // bytes
@@ -670,7 +739,24 @@ typedef struct {
 void reply_update_end_pack(const reply_update_end_t* self, uint8_t* payload);
 void reply_update_end_unpack(reply_update_end_t* self, const uint8_t* payload);
 
-// The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
+// Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three starts without one the other application is started again.
+#define COMMAND_IMAGE_LENGTH 0U
+
+// Answer to image.
+#define REPLY_IMAGE_LENGTH 10U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t slot;  // of flash, 0 or 1
+    uint8_t starts;  // on trial: starts so far, this one included; 0: confirmed
+    uint8_t why;
+    uint8_t flash;  // its copy there, looked at again and again
+    uint32_t crc;  // of the application that runs, as in its last word
+} reply_image_t;
+void reply_image_pack(const reply_image_t* self, uint8_t* payload);
+void reply_image_unpack(reply_image_t* self, const uint8_t* payload);
+
+// The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile, and edges say so (odometer_frozen). The first `measure` is refused while anything is armed; `looks` 0 ends it.
 #define COMMAND_MEASURE_LENGTH 9U
 typedef struct {
     uint16_t looks;  // how many; 0 ends the measurement, and the odometer counts on
@@ -738,6 +824,66 @@ typedef struct {
 } reply_preamble_t;
 void reply_preamble_pack(const reply_preamble_t* self, uint8_t* payload);
 void reply_preamble_unpack(reply_preamble_t* self, const uint8_t* payload);
+
+// Which pins the wiring inverts. Goes with the configuration that is staged, directly after its `stage`; what is not said stays as it is in force. Refused while anything is armed. Interlock and end switches can not be inverted: a broken wire must say unsafe.
+#define COMMAND_POLARITY_LENGTH 2U
+typedef struct {
+    uint8_t generation;  // of the configuration that is staged
+    uint8_t inverted;
+} command_polarity_t;
+void command_polarity_pack(const command_polarity_t* self, uint8_t* payload);
+void command_polarity_unpack(command_polarity_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_polarity_range(const command_polarity_t* self);
+
+// Answer to polarity.
+#define REPLY_POLARITY_LENGTH 4U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration that is staged; 0 = none
+    uint8_t inverted;  // that would be in force with its commit
+} reply_polarity_t;
+void reply_polarity_pack(const reply_polarity_t* self, uint8_t* payload);
+void reply_polarity_unpack(reply_polarity_t* self, const uint8_t* payload);
+
+// The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge: it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
+#define COMMAND_CAMERA_TRIGGER_LENGTH 5U
+typedef struct {
+    uint8_t generation;  // of the configuration that is staged
+    uint32_t width;  // ticks, how long each trigger lasts; 0 = none, edges are those of the sync input
+} command_camera_trigger_t;
+void command_camera_trigger_pack(const command_camera_trigger_t* self, uint8_t* payload);
+void command_camera_trigger_unpack(command_camera_trigger_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_camera_trigger_range(const command_camera_trigger_t* self);
+
+// Answer to camera_trigger.
+#define REPLY_CAMERA_TRIGGER_LENGTH 7U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration that is staged; 0 = none
+    uint32_t width;  // ticks, that would be in force with its commit
+} reply_camera_trigger_t;
+void reply_camera_trigger_pack(const reply_camera_trigger_t* self, uint8_t* payload);
+void reply_camera_trigger_unpack(reply_camera_trigger_t* self, const uint8_t* payload);
+
+// What of the pins is in force beside `configuration`.
+#define COMMAND_WIRING_LENGTH 0U
+
+// Answer to wiring.
+#define REPLY_WIRING_LENGTH 9U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration in force; 0 = none
+    uint8_t inverted;
+    uint8_t driven;  // outputs that are driven: see protocol/README.md
+    uint32_t camera_trigger;  // ticks, how long each lasts; 0 = none
+} reply_wiring_t;
+void reply_wiring_pack(const reply_wiring_t* self, uint8_t* payload);
+void reply_wiring_unpack(reply_wiring_t* self, const uint8_t* payload);
 
 // How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset: the widest limits, no ramp, no switches.
 #define COMMAND_TURNTABLE_LENGTH 17U

@@ -7,6 +7,9 @@
 
 static void set_microwave(controller_t* const self, const bool on)
 {
+    if (on) {  // which needs no configuration
+        board_polarity(POLARITY_BURSTS, self->sequencer.wiring.inverted);
+    }
     board_microwave(on);
     self->armed = (uint8_t)(on ? self->armed | ARM_MICROWAVE : self->armed & ~ARM_MICROWAVE);
 }

@@ -16,6 +16,8 @@ enum {
     FIELD_LED_WIDTH = 10,
 };
 
+#define FIELD_TRIGGER_WIDTH 1U  // of CAMERA_TRIGGER
+
 static uint32_t tolerance_ticks(const command_stage_t* const config)
 {
     return (uint32_t)(((uint64_t)config->frame_period * config->tolerance) / 1000U);
@@ -95,6 +97,12 @@ static void put_in_force(sequencer_t* const self, events_t* const events, const 
         self->synced = false;  // to be found again at the new period
     }
     self->config = self->staged;
+    if (((self->wiring.inverted ^ self->staged_wiring.inverted) & POLARITY_CAMERA_TRIGGER) != 0U) {
+        board_camera_trigger(self->config.frame_period, 0U);  // else a pin that is followed would be turned over
+    }
+    self->wiring = self->staged_wiring;
+    board_polarity(POLARITY_SYNC | POLARITY_OUTPUTS, self->wiring.inverted);
+    board_camera_trigger(self->config.frame_period, self->wiring.trigger_ticks);
     self->is_staged = false;
     self->is_committed = false;
     event_configured_pack(
@@ -130,6 +138,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     flags |= self->has_last ? 0U : EDGE_FIRST;
     flags |= plan->armed ? 0U : EDGE_DISARMED;
     flags |= plan->preamble ? EDGE_PREAMBLE : 0U;
+    flags |= self->odometer_stood ? EDGE_ODOMETER_FROZEN : 0U;
     event_edge_pack(&(event_edge_t){.edge = self->edges,
                                     .tick = edge->tick,
                                     .slot = plan->slot,
@@ -186,12 +195,17 @@ void sequencer_start(sequencer_t* const self)
 void sequencer_edges(sequencer_t* const self, events_t* const events, const uint32_t now)
 {
     board_edge_t edge;
+    bool any = false;
     board_lamps_run();
     while (board_edge(&edge)) {  // all of them before loading: after a stall, the next edge is not the second
         report_edge(self, &edge, events);
         self->reload = true;
+        any = true;
     }
     self->just_armed = false;
+    // A measurement is begun and ended by commands, which come later in a round: if none is under way now, the edges
+    // just reported are the last ones that it can have concerned.
+    self->odometer_stood = self->odometer_stood && (board_measuring() || !any);
     check_sync(self, events, now);
 }
 
@@ -290,14 +304,56 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
         return STATUS_BAD_STATE;  // what waits for slot 0 must not change under it
     }
     self->staged = *config;
+    self->staged_wiring = self->wiring;  // a host that knows nothing of it changes nothing of it
+    if (self->wiring.trigger_ticks + CAMERA_TRIGGER_MIN_TICKS > config->frame_period) {
+        self->staged_wiring.trigger_ticks = 0;  // but for what its period leaves no room for
+    }
     self->is_staged = true;
     reply->generation = config->generation;
     return STATUS_OK;
 }
 
-bool sequencer_commit(sequencer_t* const self, const uint8_t generation)
+bool sequencer_polarity(sequencer_t* const self, const command_polarity_t* const config)
+{
+    if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
+        return false;
+    }
+    self->staged_wiring.inverted = config->inverted;
+    return true;
+}
+
+uint8_t sequencer_camera_trigger(sequencer_t* const self, const command_camera_trigger_t* const config,
+                                 uint8_t* const detail)
+{
+    if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
+        return STATUS_BAD_STATE;
+    }
+    const uint32_t least = CAMERA_TRIGGER_MIN_TICKS;
+    if ((config->width != 0U) && ((config->width < least) || (config->width > self->staged.frame_period - least))) {
+        *detail = FIELD_TRIGGER_WIDTH;
+        return STATUS_OUT_OF_RANGE;
+    }
+    self->staged_wiring.trigger_ticks = config->width;
+    return STATUS_OK;
+}
+
+// Does the staged configuration change what the pins do by themselves?
+static bool rewires(const sequencer_t* const self)
+{
+    const wiring_t* const staged = &self->staged_wiring;
+    const bool other_period = self->staged.frame_period != self->config.frame_period;
+    return (staged->inverted != self->wiring.inverted) || (staged->trigger_ticks != self->wiring.trigger_ticks) ||
+           ((staged->trigger_ticks != 0U) && other_period);
+}
+
+// An output whose polarity changes changes its level at once, lit or dark: so nothing may be armed, and what is armed
+// later finds it in force.
+bool sequencer_commit(sequencer_t* const self, const uint8_t generation, const bool live)
 {
     if (!self->is_staged || (self->staged.generation != generation)) {
+        return false;
+    }
+    if (live && rewires(self)) {
         return false;
     }
     self->is_committed = true;
@@ -314,6 +370,11 @@ void sequencer_preamble(sequencer_t* const self, const command_preamble_t* const
     if (!self->armed || preamble->running || (config->length == 0U)) {
         preamble->config.now = 0;
     }
+}
+
+void sequencer_measures(sequencer_t* const self)
+{
+    self->odometer_stood = true;
 }
 
 void sequencer_arm(sequencer_t* const self)

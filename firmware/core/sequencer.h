@@ -24,6 +24,12 @@ typedef struct {
     bool preamble;  // its slot is a place in one
 } plan_t;
 
+// What goes with a configuration and is no field of `stage`.
+typedef struct {
+    uint8_t inverted;        // POLARITY_*
+    uint32_t trigger_ticks;  // how long a camera's trigger lasts; 0 = none
+} wiring_t;
+
 // What is small comes first: the processor reaches it with one instruction.
 typedef struct {
     preamble_t preamble;
@@ -36,6 +42,7 @@ typedef struct {
     uint8_t tag;      // of the last load
     bool has_last;
     bool synced;
+    bool odometer_stood;  // since the last edge, or still
     uint16_t late;
     uint32_t armed_at;  // tick, meaningful with just_armed
     uint32_t edges;
@@ -44,6 +51,8 @@ typedef struct {
     plan_t plans[PLANS_KEPT];
     command_stage_t config;  // in force; generation 0 = none
     command_stage_t staged;
+    wiring_t wiring;         // in force
+    wiring_t staged_wiring;  // with `staged`
 } sequencer_t;
 
 // After reset, all else zero.
@@ -62,11 +71,23 @@ uint8_t sequencer_lamp(const sequencer_t* self);
 // Validate a configuration as a whole and stage it. A status; on refusal `detail` says which field or lamp.
 uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_stage_t* reply);
 
-// Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged.
-bool sequencer_commit(sequencer_t* self, uint8_t generation);
+// Which pins are inverted with the configuration that is staged. False: it is another, or it is committed already.
+bool sequencer_polarity(sequencer_t* self, const command_polarity_t* config);
+
+// How long a trigger for cameras lasts with the configuration that is staged. A status; on refusal `detail` says which
+// field.
+uint8_t sequencer_camera_trigger(sequencer_t* self, const command_camera_trigger_t* config, uint8_t* detail);
+
+// Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged; or it
+// changes the wiring while something is `live`.
+bool sequencer_commit(sequencer_t* self, uint8_t generation, bool live);
 
 // Preambles from the flash after the loaded one on; one that runs goes on, but for what is over the length.
 void sequencer_preamble(sequencer_t* self, const command_preamble_t* config);
+
+// The board measures its own pins from now on: until it no longer does, and for one edge more, edges say that the
+// odometer stood still.
+void sequencer_measures(sequencer_t* self);
 
 // From slot 0, after a preamble. Needs a configuration in force.
 void sequencer_arm(sequencer_t* self);

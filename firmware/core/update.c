@@ -8,10 +8,30 @@
 #include "../ticks.h"
 #include "messages.h"
 
+// What was written last is read back: the CRC is that of the flash, not of the line. The last word of the application
+// is no part of it.
+static void read_back(update_t* const self)
+{
+    if (self->read < self->next) {
+        uint8_t kept[UPDATE_CHUNK_BYTES];
+        board_update_read(self->read, kept, sizeof kept);
+        const uint32_t left = (self->size - 4U > self->read) ? self->size - 4U - self->read : 0U;
+        self->sum = crc32_add(self->sum, kept, (left < sizeof kept) ? left : sizeof kept);
+        self->read += UPDATE_CHUNK_BYTES;
+    }
+}
+
+static void begin_anew(update_t* const self)
+{
+    self->next = 0;
+    self->read = 0;
+    self->sum = CRC32_BEGIN;
+}
+
 void update_begin(update_t* const self, const uint32_t size, const uint32_t crc, const uint32_t now)
 {
     if ((size != self->size) || (crc != self->crc)) {
-        self->next = 0;
+        begin_anew(self);
     }
     self->size = size;
     self->crc = crc;
@@ -27,6 +47,7 @@ bool update_take(update_t* const self, const uint32_t offset, const uint8_t* con
         return false;
     }
     self->heard = now;
+    read_back(self);
     if ((offset > self->next) || (offset % UPDATE_CHUNK_BYTES != 0U)) {
         *refusal = UPDATE_REFUSAL_INCOMPLETE;
         return false;
@@ -39,10 +60,9 @@ bool update_take(update_t* const self, const uint32_t offset, const uint8_t* con
 }
 
 // Vectors that lead into the application itself: one that was linked for another place would never start.
-static bool belongs_here(const uint8_t* const application)
+static bool belongs_here(const uint8_t* const vectors, const uint8_t* at)
 {
     static const char name[] = "annulus ";
-    const uint8_t* at = application + APPLICATION_NAME_AT;
     for (uint32_t i = 0; i < sizeof name - 1U; i++) {
         if (*at++ != (uint8_t)name[i]) {
             return false;
@@ -53,7 +73,7 @@ static bool belongs_here(const uint8_t* const application)
             return false;
         }
     }
-    return (*at == ' ') && board_update_starts_at(application_word(application + 4U));
+    return (*at == ' ') && board_update_starts_at(application_word(vectors + 4U));
 }
 
 bool update_finish(update_t* const self, uint8_t* const refusal)
@@ -66,16 +86,23 @@ bool update_finish(update_t* const self, uint8_t* const refusal)
         *refusal = UPDATE_REFUSAL_INCOMPLETE;
         return false;
     }
-    const uint8_t* const staged = board_update_staged();
-    const bool whole = (application_word(staged + APPLICATION_SIZE_AT) == self->size) &&
-                       application_is_whole(staged, UPDATE_MAX_BYTES) && (application_crc(staged) == self->crc);
-    if (!whole || !belongs_here(staged)) {
+    read_back(self);
+    uint8_t vectors[8];
+    uint8_t head[UPDATE_CHUNK_BYTES];  // size and name
+    uint8_t last[4];
+    board_update_read(0U, vectors, sizeof vectors);
+    board_update_read(APPLICATION_SIZE_AT, head, sizeof head);
+    board_update_read(self->size - 4U, last, sizeof last);
+    const bool whole = application_fits(self->size, UPDATE_MAX_BYTES) && (application_word(head) == self->size) &&
+                       (application_word(head + APPLICATION_NAME_AT - APPLICATION_SIZE_AT) == APPLICATION_NAME_START) &&
+                       (application_word(last) == self->crc) && (crc32_end(self->sum) == self->crc);
+    if (!whole || !belongs_here(vectors, head + APPLICATION_NAME_AT - APPLICATION_SIZE_AT)) {
         *refusal = whole ? UPDATE_REFUSAL_FOREIGN : UPDATE_REFUSAL_DAMAGED;
-        self->next = 0;
+        begin_anew(self);
         self->under_way = false;
         return false;
     }
-    board_update_commit();
+    board_update_commit(self->crc);
     return true;
 }
 

@@ -11,13 +11,15 @@ typedef struct {
     uint32_t size;   // of what is coming, or broke off
     uint32_t crc;
     uint32_t next;   // offset of the chunk that is due
+    uint32_t read;   // so much of it was read back from the flash
+    uint32_t sum;    // CRC-32 of that, not yet ended
     uint32_t heard;  // tick of the last chunk
 } update_t;
 
 // Begin, or go on where the same one broke off.
 void update_begin(update_t* self, uint32_t size, uint32_t crc, uint32_t now);
 
-// UPDATE_REFUSAL_* in `refusal` when false.
+// UPDATE_REFUSAL_* in `refusal` when false. While the board writes what came before, none of these is called.
 bool update_take(update_t* self, uint32_t offset, const uint8_t* chunk, uint32_t now, uint8_t* refusal);
 
 // Is it whole, and ours? Then it is what starts next.

@@ -1,107 +1,167 @@
-// Feeds arbitrary bytes, edges and interlock changes to the whole core, and checks what must hold whatever comes.
-// Built with libFuzzer (make fuzz), or with replay.c to run a corpus under gcc (make check).
+// Hosts, a camera, an encoder, switches, plugs and power, all drawn from the input, before the whole core. Built with
+// libFuzzer (make fuzz), or with replay.c to run a corpus under gcc (make check).
+//
+// The input is a row of steps: a byte of what, a byte of how much, and then as many bytes as the step takes.
 
-#include <stdlib.h>
+#include <string.h>
 
-#include "../native/native.h"
-#include "link.h"
+#include "../board.h"
+#include "fuzz.h"
 
-static void require(const bool condition)
+#define STEPS_MAX 200U                  // and
+#define WORLD_MAX_TICKS (TICK_HZ / 2U)  // bound an input: the fuzzer counts runs a second
+#define STEP_TICKS 100000U              // 1 ms: between two steps, unless one says otherwise
+#define SILENCE_TICKS ((UPDATE_SILENCE_MS + 100ULL) * TICKS_PER_MS)  // the longest that anything waits
+#define SYNC_LOW_TICKS 1000U
+
+enum { STEP_BYTES, STEP_COMMAND, STEP_MEANT, STEP_EDGES, STEP_INPUT, STEP_ODOMETER, STEP_OUTSIDE, STEP_TIME, STEPS };
+enum { USB_PLUGGED, USB_UNPLUGGED, USB_HELD, USB_FETCHED, STALLED, REFUSED, POWER, OUTSIDES };
+
+static const uint8_t* data;
+static size_t size;
+
+static uint8_t next(void)
 {
-    if (!condition) {
-        abort();
+    if (size == 0U) {
+        return 0;
     }
+    size--;
+    return *data++;
 }
 
-static bool is_good(uint8_t* const bytes, const size_t coded)
+static void write_line(const uint8_t line, const uint8_t* const bytes, const size_t length)
 {
-    const size_t decoded = cobs_decode(bytes, coded);
-    const layout_t* const layout = (decoded >= 3U) ? layout_of(bytes[0]) : NULL;
-    if (layout == NULL) {
-        return false;
-    }
-    const uint16_t crc = (uint16_t)(bytes[decoded - 2U] | (bytes[decoded - 1U] << 8));
-    return link_crc(bytes, decoded - 2U, layout->schema) == crc;
+    ((line == LINE_USB) ? native_usb_write : native_serial_write)(bytes, length);
 }
 
-static uint8_t frame[MAX_WIRE];
-static size_t length;
-static uint64_t boot_tick;
-
-// A frame longer than the protocol allows, or an undecodable one, must never leave the controller; except the one that
-// a reset cut short, which the delimiter sent first after a reset ends.
-static void check_output(void)
+static void send_bytes(const uint8_t line, size_t length)
 {
-    bool may_be_cut = native_boot_tick() != boot_tick;
-    boot_tick = native_boot_tick();
-    uint8_t byte;
-    while (native_serial_read(&byte, 1) == 1U) {
-        if (byte != 0U) {
-            require(length < sizeof frame - 1U);
-            frame[length++] = byte;
-            continue;
-        }
-        if (length == 0U) {
-            continue;
-        }
-        if (!is_good(frame, length)) {
-            require(may_be_cut);
-            may_be_cut = false;  // only one was on its way
-        }
-        length = 0;
-    }
+    length = (length < size) ? length : size;
+    write_line(line, data, length);
+    data += length;
+    size -= length;
 }
 
-// An odd first byte wraps every chunk in a right CRC and COBS, so that the fuzzer gets behind the link.
-static void send(const uint8_t* const bytes, const size_t size, const bool framed)
+// Of every command there is: whoever adds one adds it here too. From its id on, so that the corpus keeps its meaning.
+static const layout_t* command_from(const uint8_t byte)
 {
-    if (framed && (size > 0U)) {
-        const layout_t* const layout = layout_of(bytes[0] % 13U);
-        uint8_t body[2U + PAYLOAD_MAX] = {layout->id, (size > 1U) ? bytes[1] : 0U};
-        for (size_t i = 2; (i < size) && (i < sizeof body); i++) {
-            body[i] = bytes[i];
-        }
-        if ((layout->id == COMMAND_IDENTIFY) && ((body[1] & 1U) == 0U)) {  // or a new schema would lock the corpus out
-            command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, body + 2);
-        }
-        uint8_t wire[MAX_WIRE];
-        native_serial_write(wire, link_frame(body, 2U + layout->length, layout->schema, wire));
+    uint8_t id = byte % REPLY_BIT;
+    while (layout_of(id) == NULL) {
+        id = (uint8_t)((id + 1U) % REPLY_BIT);
+    }
+    return layout_of(id);
+}
+
+// In a right CRC and COBS, so that the fuzzer gets behind the link.
+static void send_command(const uint8_t line, const uint8_t which, const bool meant)
+{
+    const layout_t* const layout = command_from(which);
+    uint8_t bytes[PAYLOAD_MAX] = {0};
+    uint8_t body[2U + PAYLOAD_MAX] = {layout->id, next()};
+    for (size_t i = next() % PAYLOAD_MAX, at = 0; at < i; at++) {
+        bytes[at] = next();
+    }
+    if (meant) {
+        meant_payload(layout, bytes, body + 2);
     } else {
-        native_serial_write(bytes, size);
+        memcpy(body + 2, bytes, sizeof bytes);
+    }
+    uint8_t wire[MAX_WIRE];
+    write_line(line, wire, link_frame(body, 2U + layout->length, layout->schema, wire));
+}
+
+static void make_edges(const uint8_t count, const uint32_t interval)
+{
+    for (uint32_t i = 0; i < count % 8U; i++) {
+        const uint64_t at = native_tick() + 1U + (uint64_t)i * interval;
+        native_input(at, PIN_SYNC, 0);
+        native_input(at + SYNC_LOW_TICKS, PIN_SYNC, 1);
     }
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size)
+static void turn_odometer(const uint8_t steps)
 {
+    static const uint8_t levels[] = {0, 1, 3, 2};  // A, B
+    for (uint32_t i = 0; i < steps; i++) {
+        const uint8_t level = levels[((steps & 1U) != 0U) ? i % 4U : 3U - i % 4U];
+        native_input(native_tick() + 1U + 50U * i, PIN_ODOMETER_A, level & 1U);
+        native_input(native_tick() + 1U + 50U * i, PIN_ODOMETER_B, level >> 1);
+    }
+}
+
+static void change_outside(const uint8_t what)
+{
+    switch (what % OUTSIDES) {
+    case USB_PLUGGED:
+    case USB_UNPLUGGED:
+        watch_run(1);  // what had arrived is read
+        native_usb_connect((what % OUTSIDES) == USB_PLUGGED);
+        watch_cut(LINE_USB);
+        break;
+    case USB_HELD:
+    case USB_FETCHED:
+        native_usb_hold((what % OUTSIDES) == USB_HELD);
+        break;
+    case STALLED:
+        native_stall_cpu(STEP_TICKS * (1ULL + what / OUTSIDES));
+        break;
+    case REFUSED:
+        native_refuse_next();
+        break;
+    default:
+        native_power_on(what, (what & 8U) ? BOOT_CAUSE_WATCHDOG : BOOT_CAUSE_POWER_ON);
+        break;
+    }
+}
+
+static void step(void)
+{
+    static const uint8_t inputs[] = {PIN_INTERLOCK, PIN_END_LOW,    PIN_END_HIGH,
+                                     PIN_SYNC,      PIN_ODOMETER_A, PIN_ODOMETER_B};
+    const uint8_t what = next();
+    const uint8_t how = next();
+    const uint8_t line = (what & 0x80U) ? LINE_USB : LINE_UART;
+    uint64_t ticks = STEP_TICKS;
+    switch (what % STEPS) {
+    case STEP_BYTES:
+        send_bytes(line, how % MAX_WIRE);
+        break;
+    case STEP_COMMAND:
+    case STEP_MEANT:
+        send_command(line, how, (what % STEPS) == STEP_MEANT);
+        break;
+    case STEP_EDGES:
+        make_edges(how, FRAME_PERIOD_MIN_TICKS / 2U + 1000U * next());
+        ticks = STEP_TICKS * (how % 32U);
+        break;
+    case STEP_INPUT:
+        native_input(native_tick() + 1U + next(), inputs[how % sizeof inputs], (how >> 7) & 1U);
+        break;
+    case STEP_ODOMETER:
+        turn_odometer(how);
+        break;
+    case STEP_OUTSIDE:
+        change_outside(how);
+        break;
+    default:
+        ticks = (how == UINT8_MAX) ? SILENCE_TICKS : 2000ULL * how * how;  // 1.3 s at most: host timeouts
+        break;
+    }
+    watch_run(ticks);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t* const input, const size_t input_size)
+{
+    data = input;
+    size = input_size;
     native_begin();
+    native_seed(next());
+    native_input(0, PIN_INTERLOCK, 0);
     native_power_on(1, 0);
-    length = 0;
-    boot_tick = 0;
-    native_run_until(1000000U);
-    check_output();
-    while (size > 1U) {
-        const uint8_t what = data[0];
-        size_t chunk = data[1] % 64U;
-        data += 2;
-        size -= 2;
-        chunk = (chunk < size) ? chunk : size;
-        send(data, chunk, (what & 1U) != 0U);
-        data += chunk;
-        size -= chunk;
-        native_input(native_tick() + 1000U, PIN_SYNC, (what >> 1) & 1U);
-        native_input(native_tick() + 2000U, PIN_INTERLOCK, (what >> 2) & 1U);
-        if ((what & 8U) != 0U) {
-            native_stall_cpu(what * 10000ULL);
-        }
-        native_run_until(native_tick() + 20000U + what * 20000ULL);
-        native_transition_t pins[64];
-        while (native_pins(pins, 64) > 0U) {
-        }
-        check_output();
-        // Open interlock: no microwave, ever.
-        require((native_pin(PIN_INTERLOCK) == 0U) || (native_pin(PIN_MICROWAVE) == 0U));
-        // At most one lamp at a time.
-        require((native_pin(PIN_PROJECTOR) & native_pin(PIN_LED)) == 0U);
+    watch_begin();
+    watch_run(STEP_TICKS);
+    for (uint32_t i = 0; (i < STEPS_MAX) && (size > 0U) && (native_tick() < WORLD_MAX_TICKS); i++) {
+        step();
     }
     return 0;
 }

@@ -47,7 +47,9 @@ uint32_t time_now(void);  // the controller's tick, for this folder: takes nothi
 
 void pinuse_begin(void);
 void pinuse_start(void);
-void pinuse_drive(uint8_t pin, uint8_t level);
+void pinuse_drive(uint8_t pin, uint8_t level);  // as if no pin were inverted
+uint8_t pinuse_driven(uint8_t pin);             // how it was last driven
+uint8_t pinuse_seen(uint8_t pin);               // an input as the controller sees it
 bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
 bool pinuse_opens_interlock(uint8_t pin, uint8_t level);
 
@@ -75,6 +77,7 @@ void lamps_step(void);
 // Transitions so far, and where the odometer stands after so many.
 void odometer_start(void);
 void odometer_input(void);
+void odometer_hold(bool held);
 uint32_t odometer_now(void);
 int32_t odometer_decode(uint32_t until);
 const quadrature_t* odometer_state(void);
@@ -89,6 +92,11 @@ void microwave_starve(void);
 void measure_start(void);
 void measure_before(void);                       // any pin changes its level
 void measure_after(uint8_t pin, uint8_t level);  // this one did
+
+void camera_trigger_start(void);
+bool camera_trigger_runs(void);  // the sync input is nobody's
+uint64_t camera_trigger_time(void);
+void camera_trigger_step(void);
 
 void turntable_start(void);
 uint64_t turntable_time(void);

@@ -74,13 +74,13 @@ uint64_t lamps_time(void)
     if (lamps.pin == 0U) {
         return NEVER;
     }
-    return (native_pin(lamps.pin) == 0U) ? lamps.on : lamps.off;
+    return (pinuse_driven(lamps.pin) == 0U) ? lamps.on : lamps.off;
 }
 
 void lamps_step(void)
 {
     const uint8_t pin = lamps.pin;
-    if (native_pin(pin) == 0U) {
+    if (pinuse_driven(pin) == 0U) {
         pinuse_drive(pin, 1);
     } else {
         pinuse_drive(pin, 0);

@@ -29,7 +29,8 @@ static uint32_t levels_now(void)
     uint32_t levels = 0;
     for (uint32_t i = 0; i < 4U; i++) {
         const uint32_t pin = measure.look.first + i;
-        levels |= (pin < PIN_COUNT) ? (uint32_t)world.levels[pin] << i : 0U;
+        const uint32_t level = (pin == PIN_SYNC) ? pinuse_seen(PIN_SYNC) : (pin < PIN_COUNT) ? world.levels[pin] : 0U;
+        levels |= level << i;
     }
     return levels;
 }
@@ -63,6 +64,7 @@ void measure_after(const uint8_t pin, const uint8_t level)
 void board_measure(const board_look_t* const look)
 {
     time_pass();
+    odometer_hold(look->looks > 0U);
     measure_start();
     measure.look = *look;
     measure.measuring = look->looks > 0U;

@@ -43,6 +43,9 @@ bool native_input(uint64_t tick, uint8_t pin, uint8_t level);
 // A jumper: from now on this output drives that input, a tick later; 0 takes it away.
 void native_wire(uint8_t from, uint8_t to);
 
+// A resistor outside that pulls this output while nobody drives it; at first each is pulled to its level at reset.
+void native_pull(uint8_t pin, uint8_t level);
+
 // Send bytes to the controller from now on, one after another at line speed; how many were taken.
 size_t native_serial_write(const uint8_t* bytes, size_t size);
 

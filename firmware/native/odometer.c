@@ -8,6 +8,7 @@ static uint8_t ring[QUADRATURE_KEPT];
 static uint32_t written;
 static uint64_t last;  // world tick of the last transition
 static quadrature_t odometer;
+static bool is_held;  // while the board measures its own pins, as on the Pico, which needs the machine and the DMA
 
 static uint8_t lines_now(void)
 {
@@ -20,11 +21,22 @@ void odometer_start(void)
     odometer.state = lines_now();
     written = 0;
     last = 0;
+    is_held = false;
+}
+
+void odometer_hold(const bool held)
+{
+    odometer_decode(odometer_now());
+    is_held = held;
+    odometer.state = lines_now();
 }
 
 // Lines that change in the same tick change at once.
 void odometer_input(void)
 {
+    if (is_held) {
+        return;
+    }
     const bool at_once = (last == world.now) && (odometer_now() != odometer.decoded);
     written -= at_once ? 1U : 0U;
     ring[written++ % QUADRATURE_KEPT] = lines_now();

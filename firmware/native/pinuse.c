@@ -13,7 +13,25 @@ static bool antivalent;  // the interlock has a second input
 static bool interlock_tripped;
 static uint8_t ends_watched;
 static uint8_t ends_touched;
-static uint8_t wires[PIN_COUNT];  // the input an output drives, a tick later; 0 = none
+static uint8_t wires[PIN_COUNT];   // the input an output drives, a tick later; 0 = none
+static uint8_t pulls[PIN_COUNT];   // an output's level while nobody drives it
+static uint8_t driven[PIN_COUNT];  // an output's level by whoever makes it, before the pad inverts it
+static uint8_t gates_driven;       // POLARITY_*, as is the next
+static uint8_t inverted_now;
+
+static uint8_t polarity_of(const uint8_t pin)
+{
+    static const uint8_t flags[PIN_COUNT] = {
+        [PIN_SYNC] = POLARITY_SYNC,       [PIN_PROJECTOR] = POLARITY_PROJECTOR,
+        [PIN_LED] = POLARITY_LED,         [PIN_MICROWAVE] = POLARITY_MICROWAVE,
+        [PIN_TRIGGER] = POLARITY_TRIGGER, [PIN_CAMERA_TRIGGER] = POLARITY_CAMERA_TRIGGER};
+    return flags[pin];
+}
+
+static bool is_inverted(const uint8_t pin)
+{
+    return (inverted_now & polarity_of(pin)) != 0U;
+}
 
 void native_wire(const uint8_t from, const uint8_t to)
 {
@@ -29,12 +47,17 @@ void pinuse_begin(void)
 {
     for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
         world.levels[pin] = (HIGH_AT_RESET_PINS >> pin) & 1U;
+        pulls[pin] = world.levels[pin];
+        driven[pin] = world.levels[pin];
     }
     transition_count = 0;
+    gates_driven = 0;
+    inverted_now = 0;
     memset(wires, 0, sizeof wires);
 }
 
-void pinuse_drive(const uint8_t pin, const uint8_t level)
+// What stands at the pad.
+static void set_level(const uint8_t pin, const uint8_t level)
 {
     if (world.levels[pin] == level) {
         return;
@@ -53,8 +76,64 @@ void pinuse_drive(const uint8_t pin, const uint8_t level)
     transitions[at] = (native_transition_t){.tick = world.now, .pin = pin, .level = level};
 }
 
+static void settle(const uint8_t pin)
+{
+    const uint8_t gate = polarity_of(pin);
+    const bool is_free = (gate != 0U) && ((gates_driven & gate) == 0U);
+    const uint8_t level = is_inverted(pin) ? !driven[pin] : driven[pin];
+    set_level(pin, is_free ? pulls[pin] : level);
+}
+
+void pinuse_drive(const uint8_t pin, const uint8_t level)
+{
+    driven[pin] = level;
+    settle(pin);
+}
+
+uint8_t pinuse_driven(const uint8_t pin)
+{
+    return driven[pin];
+}
+
+uint8_t pinuse_seen(const uint8_t pin)
+{
+    return is_inverted(pin) ? !world.levels[pin] : world.levels[pin];
+}
+
+void native_pull(const uint8_t pin, const uint8_t level)
+{
+    if ((pin < PIN_COUNT) && (((OUTPUT_PINS >> pin) & 1U) != 0U)) {
+        pulls[pin] = (level != 0U) ? 1U : 0U;
+        settle(pin);
+    }
+}
+
+void board_polarity(const uint8_t pins, const uint8_t inverted)
+{
+    time_pass();
+    const uint8_t sync = pinuse_seen(PIN_SYNC);
+    gates_driven |= pins & POLARITY_OUTPUTS;
+    inverted_now = (uint8_t)((inverted_now & ~pins) | (inverted & pins));
+    for (uint8_t pin = PIN_PROJECTOR; pin < PIN_COUNT; pin++) {
+        if (((OUTPUT_PINS >> pin) & 1U) != 0U) {
+            settle(pin);
+        }
+    }
+    if ((sync == 1U) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
+        lamps_edge();  // whoever looks sees it fall
+    }
+}
+
+uint8_t board_driven(void)
+{
+    time_look();
+    return gates_driven;
+}
+
 void pinuse_start(void)
 {
+    gates_driven = 0;
+    inverted_now = 0;
     for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
         if ((OUTPUT_PINS >> pin) & 1U) {
             pinuse_drive(pin, (HIGH_AT_RESET_PINS >> pin) & 1U);
@@ -78,7 +157,7 @@ bool pinuse_input(const uint8_t pin, const uint8_t level)
     const bool changed = world.levels[pin] != level;
     world.levels[pin] = level;
     if (changed) {
-        measure_after(pin, level);
+        measure_after(pin, pinuse_seen(pin));
     }
     if (world.powered && changed && pinuse_opens_interlock(pin, level)) {
         interlock_tripped = true;

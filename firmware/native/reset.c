@@ -37,6 +37,7 @@ static void rest(void)
     lamps_start();
     microwave_start();
     turntable_start();
+    camera_trigger_start();
     measure_start();
     wanted = false;
 }

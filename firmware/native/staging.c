@@ -1,4 +1,5 @@
-// Keeps a new application that nothing starts: this board always runs the core it was linked with.
+// Keeps a new application that nothing starts: this board always runs the core it was linked with. It writes as fast as
+// it is asked.
 
 #include <string.h>
 
@@ -6,14 +7,28 @@
 
 static uint8_t staged[UPDATE_MAX_BYTES + UPDATE_CHUNK_BYTES];
 
+void board_image(board_image_t* const image)
+{
+    *image = (board_image_t){.flash = IMAGE_FLASH_WHOLE};
+}
+
+void board_image_confirm(void)
+{
+}
+
 void board_update_write(const uint32_t offset, const uint8_t* const chunk)
 {
     memcpy(staged + offset, chunk, UPDATE_CHUNK_BYTES);
 }
 
-const uint8_t* board_update_staged(void)
+bool board_update_run(void)
 {
-    return staged;
+    return false;
+}
+
+void board_update_read(const uint32_t offset, uint8_t* const bytes, const uint32_t size)
+{
+    memcpy(bytes, staged + offset, size);
 }
 
 bool board_update_starts_at(const uint32_t entry)
@@ -21,6 +36,7 @@ bool board_update_starts_at(const uint32_t entry)
     return entry != 0U;
 }
 
-void board_update_commit(void)
+void board_update_commit(const uint32_t crc)
 {
+    (void)crc;
 }

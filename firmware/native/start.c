@@ -43,7 +43,7 @@ static void apply_input(void)
     if ((input.pin == PIN_ODOMETER_A) || (input.pin == PIN_ODOMETER_B)) {
         odometer_input();
     }
-    if ((input.pin == PIN_SYNC) && (input.level == 0U)) {
+    if ((input.pin == PIN_SYNC) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
         lamps_edge();
         time_wake();
     }
@@ -76,6 +76,7 @@ static const struct {
 } sources[] = {
     {world_input_time, apply_input},
     {lamps_time, lamps_step},
+    {camera_trigger_time, camera_trigger_step},
     {microwave_time, microwave_step},
     {turntable_time, turntable_step},
     {lines_time, lines_step},

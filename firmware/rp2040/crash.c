@@ -53,11 +53,11 @@ bool crash_knows_boot(uint8_t* const boot)
 
 static void record(board_crash_t* const crash)
 {
-    const bool known = (memory.place.kind == CRASH_HARD_FAULT) ||
-                       ((memory.place.kind == CRASH_STUCK) && (memory.place.rounds == memory.trail.rounds));
+    const bool sure = (memory.place.kind == CRASH_HARD_FAULT) || (memory.place.kind == CRASH_DAMAGED);
+    const bool known = sure || ((memory.place.kind == CRASH_STUCK) && (memory.place.rounds == memory.trail.rounds));
     crash->crashes++;
     crash->boot = crash->boots;
-    crash->kind = (memory.place.kind == CRASH_HARD_FAULT) ? CRASH_HARD_FAULT : CRASH_STUCK;
+    crash->kind = sure ? memory.place.kind : CRASH_STUCK;
     crash->pc = known ? memory.place.pc : 0U;
     crash->lr = known ? memory.place.lr : 0U;
     crash->psr = known ? memory.place.psr : 0U;
@@ -120,6 +120,17 @@ __attribute__((used)) static void faulted(const frame_t* const frame)
 {
     outputs_off();
     write_place(CRASH_HARD_FAULT, frame);
+    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
+    for (;;) {
+    }
+}
+
+void crash_damaged(void)
+{
+    static const frame_t nowhere;
+    interrupts_off();
+    outputs_off();
+    write_place(CRASH_DAMAGED, &nowhere);
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
     for (;;) {
     }

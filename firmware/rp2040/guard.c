@@ -41,7 +41,7 @@ typedef struct {
 static const guard_t guard_one = {.watch = GUARD_WATCH, .credit = 100000U, .step = 2U, .more = 5U};
 static const guard_t guard_two = {.watch = GUARD_BOTH, .credit = 33332U, .step = 6U, .more = 7U};
 
-static const guard_t* guard = &guard_one;
+static const guard_t* guard;
 static uint32_t guarded;  // tick at which GUARD took its first credit
 static uint32_t credits;  // laid out since, the first one not counted
 

@@ -18,20 +18,29 @@ void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
 void microwave_start(void);
 void turntable_start(void);
+void camera_trigger_start(void);
 void usb_start(void);
 
-// Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
+// The gates that are driven: at their dark level now, whatever PIO does.
+void pinuse_darken(void);
+
+// Every output that can fire: dark now, its machines back in reset. There is no way on from here but a restart.
 void outputs_off(void);
 
 // Until something happens, 100 us at most.
 void time_sleep(void);
 
-// Write a register, and the tick a constant few before: no interrupt and no wait for the flash comes between.
+// Write a register, and the tick a constant few before: no interrupt comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);
 
-// Around what keeps the processor from looking at the tick for so long that it may wrap; up to 40 s.
-uint32_t time_before_blindness(void);
-void time_after_blindness(uint32_t since);
+// The application itself: what the loader handed over, and, a little each round, whether it is still what was flashed.
+extern const uint8_t image_start[];
+void image_begin(uint32_t mark, uint32_t handover);
+void image_run(void);
+uint32_t image_slot(void);
+uint32_t image_record(void);  // page of the newest record, or RECORD_PAGES
+bool image_confirmed(void);   // was it on trial until now?
+bool staging_is_idle(void);   // nobody is waiting for the flash
 
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
@@ -60,6 +69,7 @@ bool pinuse_hurries(void);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
+void pinuse_count_sync(bool counts);  // or edges of the sync input are nobody's
 
 // The odometer: its machine of PIO1, and transitions as its DMA counts them. `odometer_decode`: the place there.
 // It hands all that and its ring to whoever measures, standing still until it is started again.
@@ -106,6 +116,9 @@ void crash_start(uint8_t cause, uint8_t boot);
 // The round of the main loop is over, but for its sleep.
 void crash_measure(void);
 
+// The application's own code is no longer what it was: outputs off, and start anew.
+void crash_damaged(void);
+
 void fault_handler(void);
 void stuck_handler(void);
 void alarm_handler(void);
@@ -132,12 +145,17 @@ enum {
     DMA_CHIPS = 3,
     DMA_TRIGGER = 4,
     DMA_STEPS = 5,
-    DMA_ODOMETER_AGAIN = 6
+    DMA_ODOMETER_AGAIN = 6,
+    DMA_CAMERA = 7,
+    DMA_CAMERA_AGAIN = 8
 };
-enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                            // PIO0
+enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2, CAMERA_MACHINE = 3 };        // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
-// Entry points of the programs that more than one file needs: the turntable borrows the lamps' pulse.
+// The pin whose falling edges are the sync edges from now on; it must stand high. No flash is loaded afterwards.
+void lamps_follow(uint32_t pin);
+
+// Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
 enum { GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_SPENT = 7, GUARD_CUT = 11 };
 #define START_OFFSET 24U      // from the tick read before a machine of PIO1 starts to its first level

@@ -3,6 +3,7 @@
 #include "../board.h"
 #include "../core/link.h"
 #include "../core/messages.h"
+#include "flash.h"
 #include "hardware.h"
 #include "registers.h"
 
@@ -64,40 +65,19 @@ const uint8_t* board_name(void)
     return name;
 }
 
-// The flash's own unique id (command 4Bh, four bytes of nothing, eight of id): the RP2040 has none. While it is read
-// the flash gives no code, so this runs from RAM and calls nothing. All 13 bytes wait in the FIFO before the flash is
-// selected: it stays selected until the FIFO is empty. At the end all is as boot2.S left it.
-__attribute__((noinline, long_call, section(".in_ram"))) static void read_flash_id(volatile uint8_t* const id)
-{
-    REGISTER(SSI_ENABLE) = 0U;
-    REGISTER(SSI_CONTROL0) = 7U << 16;  // bytes, both ways at once
-    REGISTER(SSI_SELECT) = 0U;
-    REGISTER(SSI_ENABLE) = 1U;
-    REGISTER(SSI_DATA) = 0x4BU;
-    for (uint32_t i = 0; i < 12U; i++) {
-        REGISTER(SSI_DATA) = 0U;
-    }
-    REGISTER(SSI_SELECT) = 1U;
-    while (REGISTER(SSI_RECEIVED) < 13U) {
-    }
-    for (uint32_t i = 0; i < 13U; i++) {
-        const uint8_t byte = (uint8_t)REGISTER(SSI_DATA);
-        if (i >= 5U) {
-            id[i - 5U] = byte;
-        }
-    }
-    REGISTER(SSI_ENABLE) = 0U;
-    REGISTER(SSI_CONTROL0) = 0x001F0300U;
-    REGISTER(SSI_ENABLE) = 1U;
-}
-
+// The flash's own unique id (command 4Bh, four bytes of nothing, eight of id): the RP2040 has none.
 static void find_serial_number(void)
 {
     static const uint8_t digits[] = "0123456789ABCDEF";
-    volatile uint8_t id[8];
-    read_flash_id(id);
+    uint32_t id[8];
+    flash_select(8U);
+    REGISTER(SSI_DATA) = FLASH_UNIQUE_ID;
+    for (uint32_t i = 0; i < 12U; i++) {
+        REGISTER(SSI_DATA) = 0U;
+    }
+    flash_take(13U, id, 8U);
     for (uint32_t i = 0; i < 8U; i++) {
-        serial_number[2U * i] = digits[id[i] >> 4];
+        serial_number[2U * i] = digits[(id[i] >> 4) & 0xFU];
         serial_number[2U * i + 1U] = digits[id[i] & 0xFU];
     }
 }

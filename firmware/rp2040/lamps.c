@@ -23,6 +23,7 @@ enum {
     STOPS_LOOKING = 4,
     HOLD = 11,
     LOOKS_AGAIN = 14,
+    LAMP_WAITS = 22,
     TAKEN = 26,
     LAMP_WIDTH = 29,
     PROGRAM_LENGTH = 32
@@ -53,7 +54,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     MOV_Y_OSR,
     [LAMP_LAST_PULL] = PULL,
     WAIT_FLAG(LOOK),
-    WAIT_PIN_HIGH(PIN_SYNC),
+    [LAMP_WAITS] = WAIT_PIN_HIGH(PIN_SYNC),
     WAIT_PIN_LOW(PIN_SYNC),
     MOV_ISR_OSR | DELAY(1U),
     WAIT_FLAG(ACCEPTED),
@@ -262,6 +263,16 @@ static void withdraw(void)
     REGISTER(PIO_MEMORY(PIO0, TAKEN)) = program[TAKEN];
 }
 
+// Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
+void lamps_follow(const uint32_t pin)
+{
+    board_lamps_cut();
+    REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(pin) | EXEC_WRAP(HIGH, HIGH + 1U);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS)) = WAIT_PIN_HIGH(pin);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS + 1U)) = WAIT_PIN_LOW(pin);
+    pinuse_count_sync(pin == PIN_SYNC);
+}
+
 static uint32_t holdoff_count(const uint32_t ticks)
 {
     return (ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U;
@@ -353,8 +364,6 @@ void lamps_start(void)
     REGISTER(PIO_PINCTRL(PIO0, LAMP_MACHINE)) = PINS_OUT(PIN_PROJECTOR, 2U) | PINS_SET(PIN_PROJECTOR, 2U);
     lamp_execute(MOV_PINS_NULL);
     lamp_execute(SET_DIRECTIONS(3U));
-    pin_use(PIN_PROJECTOR, FUNCTION_PIO0, PAD_DRIVE_4MA | PAD_PULL_DOWN);
-    pin_use(PIN_LED, FUNCTION_PIO0, PAD_DRIVE_4MA | PAD_PULL_DOWN);
     lamp_execute(JMP(LAMP_IDLE));
 
     lamps.holdoff = HOLDOFF_AT_RESET_TICKS;

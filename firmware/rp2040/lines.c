@@ -75,13 +75,16 @@ bool board_transmitted(const uint8_t line)
     return (line == LINE_UART) ? ((REGISTER(UART_FR) & UART_BUSY) == 0U) : usb_transmitted();
 }
 
-// Is there more for the core to fetch, and does it fetch? Without room for answers more rounds would not help.
+// Is there more for the core to fetch, or about to be? A host that was told to wait asks again some 20 us later, and
+// later yet the longer it waits. Without room for answers nothing is taken, and more rounds would not help.
+#define AWAKE_ROUNDS 8U  // after the last that took bytes; of 15 us or so
 bool lines_waiting(void)
 {
     static uint32_t taken_before;
-    const bool busy = bytes_taken != taken_before;
+    static uint32_t rounds;
+    rounds = (bytes_taken != taken_before) ? 0U : rounds + 1U;
     taken_before = bytes_taken;
-    return busy && ((received_in != received_out) || usb_has_received());
+    return rounds < AWAKE_ROUNDS;
 }
 
 void lines_start(void)

@@ -1,117 +1,161 @@
-// From the second stage to the application, and an application that came over a line into its place.
+// From the second stage to an application: which one, whether it is whole, and to RAM with it.
 //
 // It lives in the first sector of flash, which only USB writes, and shares nothing with the application but
-// application.h and the record: whatever happens to that, this runs. It does its work from RAM, all of which is free.
-//
-// The application is copied over the old one, which must not run half: until the copy was read back whole the record
-// stays, and every start begins the copy anew, whatever power did. A start that finds a whole application other than
-// the one to be replaced, or one after its head had been erased, leaves it alone: the copy is finished, or somebody
-// flashed the board over USB meanwhile.
+// application.h, flash.h and what it hands over: whatever happens to that, this runs. The watchdog runs from here on,
+// so an application that hangs before its first line is started anew, and after TRIAL_STARTS times without a host that
+// understood it, the other one is. No application runs whose CRC is wrong; without any the boot ROM waits on USB.
 
 #include <stdbool.h>
+#include <stddef.h>
 
 #include "../application.h"
 #include "../core/messages.h"
+#include "clocks.h"
 #include "flash.h"
 
-#define TRIES 3U  // of a copy, before the board waits for somebody with USB
+#define LOADER_WATCHDOG_MS 500U  // for the application's way to its own, which takes 1
+#define PROGRAM_LOOKS 50000U     // of 2 us or more; a page takes 3 ms at worst
 
 #define IN_FLASH __attribute__((section(".loader.text"), noinline, used))
 #define IN_RAM __attribute__((section(".loader_ram.text"), noinline, used))
 
-extern uint32_t loader_load[], loader_start[], loader_end[], stack_top[];
+extern uint32_t loader_load[], loader_start[], loader_end[], loader_stack_top[], application_start[];
 
 void loader_enter(void);
-bool loader_copy(void);
+void loader_run(void);
 
 typedef void (*entry_t)(void);
-__attribute__((section(".loader.vectors"), used)) static const entry_t vectors[2] = {(entry_t)(uintptr_t)stack_top,
-                                                                                     loader_enter};
+__attribute__((section(".loader.vectors"), used)) static const entry_t vectors[2] = {
+    (entry_t)(uintptr_t)loader_stack_top, loader_enter};
 
-#define APPLICATION ((const uint8_t*)(uintptr_t)(FLASH_START + APPLICATION_AT))
-#define STAGED ((const uint8_t*)(uintptr_t)(FLASH_START + STAGED_AT))
-#define RECORD_START ((const uint8_t*)(uintptr_t)(FLASH_START + RECORD_AT))
-#define RECORD (*(const volatile record_t*)(uintptr_t)(FLASH_START + RECORD_AT))
+static void watchdog_kick(void)
+{
+    REGISTER(WATCHDOG_LOAD) = LOADER_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+}
 
-// From the second stage, with nothing set up but the flash. Enters the application as a reset would.
+// From the second stage, with nothing set up but the flash. Without a crystal all this takes sixteen times as long.
 IN_FLASH void loader_enter(void)
 {
-    bool startable = application_is_there(APPLICATION);
-    if ((RECORD.magic == RECORD_MAGIC) && (RECORD.check == crc32_of(RECORD_START, RECORD_CHECKED_BYTES)) &&
-        (RECORD.done == RECORD_UNTOUCHED)) {
-        const volatile uint32_t* from = loader_load;
-        for (volatile uint32_t* to = loader_start; to < loader_end; to++) {
-            *to = *from++;
-        }
-        startable = ((bool (*)(void))((uintptr_t)loader_copy | 1U))();
+    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;
+    REGISTER(PSM_WDSEL) = PSM_ALL_BUT_OSCILLATORS;
+    watchdog_kick();
+    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
+    (void)clocks_start();
+    const volatile uint32_t* from = loader_load;
+    for (volatile uint32_t* to = loader_start; to < loader_end; to++) {
+        *to = *from++;
     }
-    if (!startable) {  // the ROM waits on USB
-        ((void (*)(uint32_t, uint32_t))rom_function(ROM_CODE('U', 'B')))(0U, 0U);
-    }
-    REGISTER(VECTORS) = FLASH_START + APPLICATION_AT;
-    __asm volatile("msr msp, %0\n bx %1" ::"r"(application_word(APPLICATION)), "r"(application_word(APPLICATION + 4)));
+    ((void (*)(void))((uintptr_t)loader_run | 1U))();
     __builtin_unreachable();
 }
 
-IN_RAM static void clear_word(const flash_t* const flash, const volatile uint32_t* const word)
+IN_RAM static void read(const uint32_t at, uint32_t* const words, const uint32_t bytes)
 {
-    uint32_t page[PAGE_BYTES / 4U];
-    for (uint32_t i = 0; i < PAGE_BYTES / 4U; i++) {
-        page[i] = (word == (const volatile uint32_t*)&RECORD + i) ? 0U : RECORD_UNTOUCHED;
+    for (uint32_t done = 0; done < bytes; done += FLASH_READ_MAX) {
+        const uint32_t left = bytes - done;
+        flash_read(at + done, words + done / 4U, ((left < FLASH_READ_MAX) ? left : FLASH_READ_MAX) / 4U);
     }
-    flash_write(flash, RECORD_AT, (const uint8_t*)page);
 }
 
-IN_RAM static void copy_sector(const flash_t* const flash, const uint32_t at)
+IN_RAM static uint32_t crc_of(const void* const bytes, const uint32_t size)
 {
-    flash_write(flash, APPLICATION_AT + at, NULL);
-    for (uint32_t page = at; page < at + SECTOR_BYTES; page += PAGE_BYTES) {
-        uint32_t words[PAGE_BYTES / 4U];
-        for (uint32_t i = 0; i < PAGE_BYTES / 4U; i++) {
-            words[i] = REGISTER(FLASH_START + STAGED_AT + page + 4U * i);
+    return crc32_of(bytes, size);
+}
+
+static uint32_t page_at(const uint32_t page)
+{
+    return RECORDS_AT + page * PAGE_BYTES;
+}
+
+// The newest record, and its page. RECORD_PAGES: there is none.
+IN_RAM static uint32_t find_record(record_t* const newest)
+{
+    uint32_t found = RECORD_PAGES;
+    for (uint32_t page = 0; page < RECORD_PAGES; page++) {
+        record_t record;
+        read(page_at(page), (uint32_t*)&record, sizeof record);
+        const bool whole = (record.magic == RECORD_MAGIC) && (record.slot < 2U) &&
+                           (record.check == crc_of(&record, RECORD_CHECKED_BYTES));
+        if (whole && ((found == RECORD_PAGES) || (record.sequence > newest->sequence))) {
+            *newest = record;
+            found = page;
         }
-        flash_write(flash, APPLICATION_AT + page, (const uint8_t*)words);
     }
+    return found;
 }
 
-IN_RAM static bool is_whole(const uint8_t* const application)
+// Which unconfirmed start is this? TRIAL_STARTS + 1: one too many, also where the flash does not keep what is counted.
+IN_RAM static uint32_t count_start(const record_t* const record, const uint32_t page)
 {
-    return application_is_whole(application, UPDATE_MAX_BYTES);
+    uint32_t start = 1U;
+    while ((start <= TRIAL_STARTS) && (((record->starts >> (8U * (start - 1U))) & 0xFFU) != 0xFFU)) {
+        start++;
+    }
+    if (start <= TRIAL_STARTS) {
+        const uint32_t used = RECORD_UNTOUCHED << (8U * start);
+        const uint32_t word = page_at(page) + (uint32_t)offsetof(record_t, starts);
+        flash_program(word, &used, 1U);
+        for (uint32_t looks = 0; flash_is_busy() && (looks < PROGRAM_LOOKS); looks++) {
+        }
+        uint32_t kept;
+        read(word, &kept, sizeof kept);
+        start = ((kept & ~used) == 0U) ? start : TRIAL_STARTS + 1U;
+    }
+    return start;
 }
 
-// The head comes last and goes first: without it nothing is started, even if the record should be lost.
-IN_RAM static void copy(const flash_t* const flash)
+// Is there a whole application in this slot, and in RAM now? With this CRC, unless any will do.
+IN_RAM static bool load(const uint32_t slot, const bool any, const uint32_t crc)
 {
-    flash_write(flash, APPLICATION_AT, NULL);
-    if (RECORD.begun == RECORD_UNTOUCHED) {
-        clear_word(flash, &RECORD.begun);
+    const uint32_t at = SLOT_AT(slot);
+    uint32_t head[2];
+    read(at + APPLICATION_SIZE_AT, head, sizeof head);
+    const uint32_t size = head[0];
+    if (!application_fits(size, SLOT_BYTES) || (head[1] != APPLICATION_NAME_START)) {
+        return false;
     }
-    const uint32_t size = application_word(STAGED + APPLICATION_SIZE_AT);
-    for (uint32_t at = (size - 1U) / SECTOR_BYTES * SECTOR_BYTES; at > 0U; at -= SECTOR_BYTES) {
-        copy_sector(flash, at);
-    }
-    copy_sector(flash, 0U);
+    watchdog_kick();
+    read(at, application_start, size);
+    watchdog_kick();
+    const uint32_t kept = application_start[size / 4U - 1U];
+    return (crc_of(application_start, size - 4U) == kept) && (any || (crc == kept));
 }
 
-// Is there a whole application afterwards? If not, the record stays for the next start.
-IN_RAM bool loader_copy(void)
+IN_RAM __attribute__((noreturn)) static void start(const uint32_t handover)
 {
-    flash_t flash;
-    flash_prepare(&flash);
+    watchdog_kick();
+    REGISTER(VECTORS) = (uint32_t)(uintptr_t)application_start;
+    register uint32_t mark __asm("r0") = HANDOVER_MARK;
+    register uint32_t word __asm("r1") = handover;
+    __asm volatile("msr msp, %2\n bx %3" ::"r"(mark), "r"(word), "r"(application_start[0]), "r"(application_start[1]));
+    __builtin_unreachable();
+}
+
+IN_RAM __attribute__((noreturn)) void loader_run(void)
+{
+    record_t record;
+    const uint32_t page = find_record(&record);
+    if (page < RECORD_PAGES) {
+        const uint32_t starts = (record.confirmed == 0U) ? 0U : count_start(&record, page);
+        if ((starts <= TRIAL_STARTS) && load(record.slot, false, record.crc)) {
+            start(HANDOVER(record.slot, starts, IMAGE_WHY_RECORDED, page));
+        }
+        if (load(1U - record.slot, true, 0U)) {
+            const uint32_t why = (starts > TRIAL_STARTS) ? IMAGE_WHY_GIVEN_UP : IMAGE_WHY_DAMAGED;
+            start(HANDOVER(1U - record.slot, 0U, why, page));
+        }
+        if (load(record.slot, false, record.crc)) {  // given up, but there is no other
+            start(HANDOVER(record.slot, TRIAL_STARTS, IMAGE_WHY_RECORDED, page));
+        }
+    } else if (load(0U, true, 0U)) {
+        start(HANDOVER(0U, 0U, IMAGE_WHY_RECORDED, page));
+    } else if (load(1U, true, 0U)) {
+        start(HANDOVER(1U, 0U, IMAGE_WHY_DAMAGED, page));
+    }
     CLEAR_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
-    __asm volatile("cpsid i" ::: "memory");
-    bool runs = is_whole(APPLICATION);
-    const bool old = runs && (RECORD.begun == RECORD_UNTOUCHED) && (application_crc(APPLICATION) == RECORD.replaces);
-    if ((!runs || old) && is_whole(STAGED) && (application_crc(STAGED) == RECORD.crc)) {
-        runs = false;
-        for (uint32_t tries = 0; (tries < TRIES) && !runs; tries++) {
-            copy(&flash);
-            runs = is_whole(APPLICATION);
-        }
-    }
-    if (runs) {
-        clear_word(&flash, &RECORD.done);
-    }
-    __asm volatile("cpsie i" ::: "memory");
-    return runs;
+    typedef uintptr_t (*lookup_t)(const uint16_t* table, uint32_t code);
+    const uintptr_t to_usb =
+        ((lookup_t)(uintptr_t)rom_lookup)((const uint16_t*)(uintptr_t)rom_functions, ROM_CODE('U', 'B'));
+    ((void (*)(uint32_t, uint32_t))to_usb)(0U, 0U);
+    __builtin_unreachable();
 }

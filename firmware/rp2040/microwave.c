@@ -131,10 +131,8 @@ static void charge_until(const uint32_t now)
     }
 }
 
-// Both lists begin with silence from now on if it is this early and this late; false: it is not. From RAM, where no
-// instruction is waited for.
-__attribute__((noinline, long_call, section(".in_ram"))) static bool silence_lists(const uint32_t from,
-                                                                                   const uint32_t until)
+// Both lists begin with silence from now on if it is this early and this late; false: it is not.
+__attribute__((noinline)) static bool silence_lists(const uint32_t from, const uint32_t until)
 {
     interrupts_off();
     const uint32_t now = board_tick();
@@ -272,18 +270,9 @@ static void close_list(list_t* const list)
     prepend(list, false, (uint32_t)(list->first_rise - list->begin));
 }
 
-static uint32_t count_pulses(const board_burst_t* const burst)
-{
-    uint32_t pulses = 0;
-    for (uint32_t chip = 0; chip < burst->length; chip++) {
-        pulses += (board_chip(burst, chip) && !board_chip(burst, chip + 1U)) ? 1U : 0U;
-    }
-    return pulses;
-}
-
 static void write_chips(list_t* const list, const board_burst_t* const burst, const int32_t begin)
 {
-    open_list(list, count_pulses(burst), begin, burst->period_ticks);
+    open_list(list, board_pulses(burst), begin, burst->period_ticks);
     const uint32_t first = (uint32_t)list->first_rise / burst->chip_ticks;
     uint32_t end = (uint32_t)list->last_fall / burst->chip_ticks;
     for (uint32_t chip = end; chip > first; chip--) {
@@ -420,6 +409,4 @@ void microwave_start(void)
         execute(machine, JMP(PLAY));
     }
     guard_load();
-    pin_use(PIN_MICROWAVE, FUNCTION_PIO1, PAD_DRIVE_4MA | PAD_PULL_DOWN);
-    pin_use(PIN_TRIGGER, FUNCTION_PIO1, PAD_DRIVE_4MA | PAD_PULL_DOWN);
 }

@@ -6,6 +6,20 @@
 #include "../pins.h"
 #include "registers.h"
 
+// Outputs whose driver may want the other level. Each is made by PIO, which knows nothing of it: the pad inverts.
+static const struct {
+    uint8_t flag;  // POLARITY_*
+    uint8_t pin;
+    uint8_t function;
+} gates[] = {{POLARITY_PROJECTOR, PIN_PROJECTOR, FUNCTION_PIO0},
+             {POLARITY_LED, PIN_LED, FUNCTION_PIO0},
+             {POLARITY_MICROWAVE, PIN_MICROWAVE, FUNCTION_PIO1},
+             {POLARITY_TRIGGER, PIN_TRIGGER, FUNCTION_PIO1},
+             {POLARITY_CAMERA_TRIGGER, PIN_CAMERA_TRIGGER, FUNCTION_PIO0}};
+#define GATES (sizeof gates / sizeof gates[0])
+
+static uint8_t gates_driven;
+static uint8_t gates_inverted;  // those of the driven ones
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
 static volatile bool hurried;
@@ -30,10 +44,59 @@ void pio_load(const uint32_t pio, const uint32_t first, const uint16_t* const pr
     }
 }
 
+// Polarity before function: the pad is not driven before it would show its dark level. The pad's own pull goes with the
+// resistor outside.
+static void drive_gate(const size_t gate, const bool inverted)
+{
+    const uint32_t pin = gates[gate].pin;
+    const bool followed = gates[gate].flag == POLARITY_CAMERA_TRIGGER;  // by the sync follower: as if never inverted
+    const uint32_t over = inverted ? OUT_INVERT | (followed ? IN_INVERT : 0U) : 0U;
+    const uint32_t looks = followed ? PAD_INPUT : REGISTER(PAD(pin)) & PAD_INPUT;  // whoever measures goes on
+    REGISTER(GPIO_CTRL(pin)) = FUNCTION_NONE | over;
+    REGISTER(PAD(pin)) = PAD_DRIVE_4MA | (inverted ? PAD_PULL_UP : PAD_PULL_DOWN) | looks;
+    REGISTER(GPIO_CTRL(pin)) = gates[gate].function | over;
+}
+
+// Does the interrupt see the pad or what the override makes of it? The datasheet does not say in so many words, and it
+// does not matter here: an edge each pulse is counted, and a loop that was not woken comes 100 us later.
+void board_polarity(const uint8_t pins, const uint8_t inverted)
+{
+    for (size_t gate = 0; gate < GATES; gate++) {
+        const uint8_t flag = gates[gate].flag;
+        const bool stands = ((gates_driven & flag) != 0U) && (((gates_inverted ^ inverted) & flag) == 0U);
+        if (((pins & flag) != 0U) && !stands) {
+            drive_gate(gate, (inverted & flag) != 0U);
+        }
+    }
+    gates_driven |= pins & POLARITY_OUTPUTS;
+    gates_inverted = (uint8_t)((gates_inverted & ~pins) | (inverted & pins));
+    if ((pins & POLARITY_SYNC) != 0U) {
+        const bool sync = (inverted & POLARITY_SYNC) != 0U;
+        REGISTER(PAD(PIN_SYNC)) = PAD_INPUT | PAD_SCHMITT | (sync ? PAD_PULL_DOWN : PAD_PULL_UP);
+        REGISTER(GPIO_CTRL(PIN_SYNC)) = FUNCTION_SIO | (sync ? IN_INVERT : 0U);
+    }
+}
+
+uint8_t board_driven(void)
+{
+    return gates_driven;
+}
+
+// PIO in reset would let them go: they are held dark by the pads themselves, until the reset of everything.
+void pinuse_darken(void)
+{
+    for (size_t gate = 0; gate < GATES; gate++) {
+        if ((gates_driven & gates[gate].flag) != 0U) {
+            const uint32_t dark = ((gates_inverted & gates[gate].flag) != 0U) ? OUT_HIGH : OUT_LOW;
+            REGISTER(GPIO_CTRL(gates[gate].pin)) = gates[gate].function | OUT_ENABLED | dark;
+        }
+    }
+}
+
 // Counts what the sync follower may refuse, and remembers an interlock that opened however briefly.
 void pins_handler(void)
 {
-    const uint32_t edges = REGISTER(IO_INTR0) & (EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK));
+    const uint32_t edges = REGISTER(IO_INTR0) & REGISTER(IO_PROC0_INTE0);
     REGISTER(IO_INTR0) = edges;
     if ((edges & EDGE_LOW(PIN_SYNC)) != 0U) {
         sync_edges = sync_edges + 1U;
@@ -73,6 +136,13 @@ uint32_t pinuse_sync_edges(const uint32_t accepted)
     const uint32_t counted = sync_edges;
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
     return counted;
+}
+
+void pinuse_count_sync(const bool counts)
+{
+    const uint32_t edges = EDGE_HIGH(PIN_INTERLOCK) | (counts ? EDGE_LOW(PIN_SYNC) : 0U);
+    REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC);
+    REGISTER(IO_PROC0_INTE0) = edges;
 }
 
 void board_interlock_watch(const bool second)

@@ -90,8 +90,13 @@ enum { IRQ_TIMER0 = 0, IRQ_TIMER1 = 1, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0
 
 // ---- pins (2.19, 2.3.1) ----
 #define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))
-enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7 };
-#define IO_INTR0 0x400140F0U  // four bits a pin, pins 0..7; edges latch until written
+enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7, FUNCTION_NONE = 31 };
+#define OUT_INVERT (1U << 8)  // between the peripheral and the pad (2.19.6.1)
+#define OUT_LOW (2U << 8)
+#define OUT_HIGH (3U << 8)
+#define OUT_ENABLED (3U << 12)  // whatever the peripheral says
+#define IN_INVERT (1U << 16)    // between the pad and everybody who looks at it
+#define IO_INTR0 0x400140F0U    // four bits a pin, pins 0..7; edges latch until written
 #define IO_PROC0_INTE0 0x40014100U
 #define IO_INTR1 0x400140F4U  // the same of pins 8..15
 #define IO_PROC0_INTE1 0x40014104U

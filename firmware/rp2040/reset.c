@@ -1,4 +1,4 @@
-// Ways to stop: the watchdog, a restart, the boot loader. Every output goes low first.
+// Ways to stop: the watchdog, a restart, the boot loader. Every output goes dark first.
 
 #include "../board.h"
 #include "hardware.h"
@@ -15,6 +15,7 @@ void board_watchdog_kick(void)
 
 void outputs_off(void)
 {
+    pinuse_darken();
     REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
 }

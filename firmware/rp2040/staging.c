@@ -1,74 +1,137 @@
-// Where a new application is kept: flash behind the running one. The loader takes it from there (loader.c).
+// A new application is kept in the slot of flash that does not run, and the loader is told of it in the records
+// (flash.h). The flash works by itself: what is asked for here begins at once, and each round looks whether it is done.
 
+#include <stddef.h>
 #include <string.h>
 
 #include "../application.h"
 #include "../board.h"
 #include "../core/messages.h"
+#include "../ticks.h"
 #include "flash.h"
 #include "hardware.h"
 
-#define ERASE_MAX_MS 1000U  // the chip's maker says 400
+// A flash that says it is busy for longer is taken as done: what was written is read back anyway.
+#define FLASH_TICKS_MAX ((int32_t)TICK_HZ)  // 1 s; the chip's maker says 0.4 for a sector
 
-static const uint8_t* flash_at(const uint32_t at)
+_Static_assert(UPDATE_CHUNK_BYTES <= FLASH_PROGRAM_MAX, "a chunk is programmed at once");
+
+static struct {
+    bool works;
+    uint32_t since;
+    bool programs;  // once the erase is done
+    uint32_t at;
+    uint32_t words[FLASH_PROGRAM_MAX / 4U];
+    bool confirms;  // once the flash is free
+} staging;
+
+static uint32_t page_at(const uint32_t page)
 {
-    return (const uint8_t*)(uintptr_t)(FLASH_START + at);
+    return RECORDS_AT + page * PAGE_BYTES;
 }
 
-__attribute__((noinline, long_call, section(".in_ram"))) static void
-write_from_ram(const flash_t* const flash, const uint32_t at, const uint8_t* const page)
+static uint32_t slot_beside(void)
 {
-    flash_write(flash, at, page);
+    return SLOT_AT(1U - image_slot());
 }
 
-// The watchdog is given time for the slowest erase; the round after this one takes it back.
-static void write(const uint32_t at, const uint8_t* const page)
+static void begins(void)
 {
-    flash_t flash;
-    flash_prepare(&flash);
-    interrupts_off();
-    const uint32_t since = time_before_blindness();
-    REGISTER(WATCHDOG_LOAD) = ERASE_MAX_MS * 2000U;
-    write_from_ram(&flash, at, page);
-    time_after_blindness(since);
-    interrupts_on();
+    staging.works = true;
+    staging.since = board_tick();
 }
 
-// A page is programmed in pieces, each with ones around it: no buffer in RAM, and nothing to lose.
-static void write_piece(const uint32_t at, const void* const piece, const size_t size)
+static void schedule(const uint32_t at, const void* const bytes, const uint32_t size)
 {
-    uint8_t page[PAGE_BYTES];
-    memset(page, 0xFF, sizeof page);
-    memcpy(page + at % PAGE_BYTES, piece, size);
-    write(at - at % PAGE_BYTES, page);
+    staging.at = at;
+    memset(staging.words, 0xFF, sizeof staging.words);
+    memcpy(staging.words, bytes, size);
+    staging.programs = true;
+}
+
+bool board_update_run(void)
+{
+    if (staging.works && (ticks_since(board_tick(), staging.since) < FLASH_TICKS_MAX) && flash_is_busy()) {
+        return true;
+    }
+    staging.works = false;
+    if (!staging.programs && staging.confirms) {
+        staging.confirms = false;
+        const uint32_t clear = 0;
+        schedule(page_at(image_record()) + (uint32_t)offsetof(record_t, confirmed), &clear, sizeof clear);
+    }
+    if (staging.programs) {
+        staging.programs = false;
+        flash_program(staging.at, staging.words, FLASH_PROGRAM_MAX / 4U);
+        begins();
+    }
+    return staging.works;
+}
+
+bool staging_is_idle(void)
+{
+    return !staging.works && !staging.programs;
+}
+
+void board_image_confirm(void)
+{
+    staging.confirms = image_confirmed() || staging.confirms;
 }
 
 void board_update_write(const uint32_t offset, const uint8_t* const chunk)
 {
+    const uint32_t at = slot_beside() + offset;
     if (offset % SECTOR_BYTES == 0U) {
-        write(STAGED_AT + offset, NULL);
+        flash_erase(at);
+        begins();
     }
-    write_piece(STAGED_AT + offset, chunk, UPDATE_CHUNK_BYTES);
+    schedule(at, chunk, UPDATE_CHUNK_BYTES);
 }
 
-const uint8_t* board_update_staged(void)
+void board_update_read(const uint32_t offset, uint8_t* const bytes, const uint32_t size)
 {
-    return flash_at(STAGED_AT);
+    uint32_t words[UPDATE_CHUNK_BYTES / 4U];
+    flash_read(slot_beside() + offset, words, size / 4U);
+    memcpy(bytes, words, size);
 }
 
 bool board_update_starts_at(const uint32_t entry)
 {
-    return ((entry & 1U) != 0U) && (entry - FLASH_START - APPLICATION_AT < UPDATE_MAX_BYTES);
+    return ((entry & 1U) != 0U) && (entry - (uint32_t)(uintptr_t)image_start < UPDATE_MAX_BYTES);
 }
 
-void board_update_commit(void)
+// A page that is no record and yet not blank was left half programmed: it is passed over. The first of a sector erases
+// that sector, whose records are the oldest; the newest is in the other one.
+void board_update_commit(const uint32_t crc)
 {
-    record_t record = {.magic = RECORD_MAGIC,
-                       .crc = application_crc(flash_at(STAGED_AT)),
-                       .replaces = application_crc(flash_at(APPLICATION_AT)),
-                       .begun = RECORD_UNTOUCHED,
-                       .done = RECORD_UNTOUCHED};
+    record_t record = {.sequence = 0};
+    uint32_t page = image_record();
+    if (page < RECORD_PAGES) {
+        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
+    } else {
+        page = RECORD_PAGES - 1U;  // the first one goes to page 0
+    }
+    const uint32_t sequence = record.sequence + 1U;
+    bool blank;
+    do {
+        page = (page + 1U) % RECORD_PAGES;
+        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
+        blank = true;
+        for (uint32_t i = 0; i < sizeof record / 4U; i++) {
+            blank = blank && (((const uint32_t*)&record)[i] == RECORD_UNTOUCHED);
+        }
+    } while (!blank && (page % (SECTOR_BYTES / PAGE_BYTES) != 0U));
+    if (!blank) {
+        flash_erase(page_at(page));
+        begins();
+    }
+    record = (record_t){.magic = RECORD_MAGIC,
+                        .sequence = sequence,
+                        .slot = 1U - image_slot(),
+                        .crc = crc,
+                        .starts = RECORD_UNTOUCHED,
+                        .confirmed = RECORD_UNTOUCHED,
+                        .spare = RECORD_UNTOUCHED};
     record.check = crc32_of((const uint8_t*)&record, RECORD_CHECKED_BYTES);
-    write(RECORD_AT, NULL);
-    write_piece(RECORD_AT, &record, sizeof record);
+    schedule(page_at(page), &record, sizeof record);
 }

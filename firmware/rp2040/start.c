@@ -1,4 +1,4 @@
-// From reset to the main loop: vectors, memory, 100 MHz from the 12 MHz crystal.
+// From the loader to the main loop: vectors, memory, clocks. All of it runs from RAM.
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -8,12 +8,14 @@
 #include "../board.h"
 #include "../core/controller.h"
 #include "../core/messages.h"
+#include "../pins.h"
+#include "clocks.h"
 #include "hardware.h"
 #include "registers.h"
 
-extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[], stack_bottom[], stack_top[];
+extern uint32_t bss_start[], bss_end[], stack_bottom[], stack_top[];
 
-void reset_handler(void);
+void reset_handler(uint32_t mark, uint32_t handover);
 
 // Stands in the image for `annulus firmware info` and for whoever opens the file.
 #define TEXT_OF(value) #value
@@ -31,7 +33,7 @@ typedef void (*vector_t)(void);
 
 __attribute__((section(".vectors"), used)) static const vector_t vectors[APPLICATION_SIZE_AT / 4U] = {
     [0] = (vector_t)(uintptr_t)stack_top,
-    [1] = reset_handler,
+    [1] = (vector_t)reset_handler,
     [2] = fault_handler,
     [3] = fault_handler,
     [11] = fault_handler,
@@ -44,56 +46,48 @@ __attribute__((section(".vectors"), used)) static const vector_t vectors[APPLICA
     [16 + IRQ_UART0] = serial_handler,
 };
 
-static void wait_for(const uint32_t address, const uint32_t bits)
-{
-    while ((REGISTER(address) & bits) != bits) {
-    }
-}
+#define NO_PERIPHERALS 4U  // blinks, after those of clocks.h
 
-// VCO 12 MHz * 100 = 1.2 GHz, divided by both dividers.
-static void start_pll(const uint32_t pll, const uint32_t reset, const uint32_t first, const uint32_t second)
+// It cannot run: so often the light blinks, at some 2 Hz from a ring oscillator of 6 MHz, then it tries again. Every
+// output is as the reset left it.
+#define BLINK_LOOPS 150000U  // of ten cycles
+#define GIVE_UP_MS 2000U     // for half a blink, on whatever clock there is
+__attribute__((noreturn)) static void give_up(const uint32_t blinks)
 {
-    SET_BITS(RESETS_RESET) = reset;
-    CLEAR_BITS(RESETS_RESET) = reset;
-    wait_for(RESETS_DONE, reset);
-    REGISTER(PLL_CS(pll)) = 1U;
-    REGISTER(PLL_FBDIV(pll)) = 100U;
-    CLEAR_BITS(PLL_PWR(pll)) = (1U << 0) | (1U << 5);  // power and VCO
-    wait_for(PLL_CS(pll), 1U << 31);                   // locked
-    REGISTER(PLL_PRIM(pll)) = (first << 16) | (second << 12);
-    CLEAR_BITS(PLL_PWR(pll)) = 1U << 3;  // dividers
+    CLEAR_BITS(RESETS_RESET) = RESET_IO_BANK0 | RESET_PADS_BANK0;
+    (void)clock_came(RESETS_DONE, RESET_IO_BANK0 | RESET_PADS_BANK0);
+    pin_use(PIN_STATUS, FUNCTION_SIO, PAD_DRIVE_4MA);
+    REGISTER(SIO_GPIO_OE_SET) = 1U << PIN_STATUS;
+    for (uint32_t half = 0; half < 2U * (blinks + 1U); half++) {
+        REGISTER((((half & 1U) == 0U) && (half < 2U * blinks)) ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U
+                                                                                                          << PIN_STATUS;
+        REGISTER(WATCHDOG_LOAD) = GIVE_UP_MS * 2000U;
+        for (volatile uint32_t i = 0; i < BLINK_LOOPS; i++) {
+        }
+    }
+    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
+    for (;;) {
+    }
 }
 
 static void start_clocks(void)
 {
-    REGISTER(XOSC_CTRL) = 0xAA0U;  // 1..15 MHz
-    REGISTER(XOSC_STARTUP) = 47U;  // 1 ms in units of 256 cycles
-    SET_BITS(XOSC_CTRL) = 0xFABU << 12;
-    wait_for(XOSC_STATUS, 1U << 31);
-    REGISTER(CLK_SYS_CTRL) = 0U;  // from clk_ref while the PLL is set up
-    wait_for(CLK_SYS_SELECTED, 1U << 0);
-    REGISTER(CLK_REF_CTRL) = 2U;  // crystal
-    wait_for(CLK_REF_SELECTED, 1U << 2);
-
-    start_pll(PLL_SYS, RESET_PLL_SYS, 6U, 2U);  // 100 MHz
-    start_pll(PLL_USB, RESET_PLL_USB, 5U, 5U);  // 48 MHz
-
-    REGISTER(CLK_SYS_CTRL) = 0U << 5;         // its second source: the PLL
-    REGISTER(CLK_SYS_CTRL) = (0U << 5) | 1U;  // take it
-    wait_for(CLK_SYS_SELECTED, 1U << 1);
-    REGISTER(CLK_PERI_CTRL) = 1U << 11;         // clk_sys, on
-    REGISTER(CLK_USB_CTRL) = 1U << 11;          // the USB's PLL, on
-    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;  // 1 us for watchdog and timer
+    const uint32_t missing = clocks_start();
+    if (missing != CLOCKS_RUN) {
+        give_up(missing);
+    }
 }
 
 static void start_peripherals(void)
 {
-    // The boot loader may have left anything running; the flash is being read through the two QSPI blocks.
+    // The boot loader may have left anything running; the flash is being spoken to through the two QSPI blocks.
     SET_BITS(RESETS_RESET) = RESET_ALL & ~(RESET_IO_QSPI | RESET_PADS_QSPI | RESET_PLL_SYS | RESET_PLL_USB);
     const uint32_t wanted =
         RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER | RESET_UART0 | RESET_USB;
     CLEAR_BITS(RESETS_RESET) = wanted;
-    wait_for(RESETS_DONE, wanted);
+    if (!clock_came(RESETS_DONE, wanted)) {
+        give_up(NO_PERIPHERALS);
+    }
 }
 
 // What is no longer painted was used: the emulator reads how deep the stack went.
@@ -106,11 +100,12 @@ static void paint_stack(void)
     }
 }
 
-__attribute__((noreturn)) void reset_handler(void)
+// From the loader, which has the watchdog running: whatever does not come back is started anew.
+__attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t handover)
 {
     paint_stack();
-    memcpy(data_start, data_load, (size_t)((uint8_t*)data_end - (uint8_t*)data_start));
     memset(bss_start, 0, (size_t)((uint8_t*)bss_end - (uint8_t*)bss_start));
+    image_begin(mark, handover);
     start_clocks();
     start_peripherals();
     identity_start();
@@ -122,6 +117,7 @@ __attribute__((noreturn)) void reset_handler(void)
     lamps_start();
     microwave_start();
     turntable_start();
+    camera_trigger_start();
     usb_start();
     controller_start(&controller);
     for (;;) {
@@ -130,6 +126,7 @@ __attribute__((noreturn)) void reset_handler(void)
         usb_run();
         crash_measure();
         if (!lines_waiting() && !microwave_hurries()) {
+            image_run();
             time_sleep();
         }
     }

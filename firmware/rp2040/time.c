@@ -11,8 +11,7 @@ static uint32_t ticks;
 static uint32_t systick;  // at the last look
 
 // SysTick counts down at clk_sys and wraps every 168 ms, later than the watchdog bites: somebody always looks in time.
-// From RAM, so that a tick is as old as its reader thinks.
-__attribute__((noinline, section(".in_ram"))) uint32_t board_tick(void)
+__attribute__((noinline)) uint32_t board_tick(void)
 {
     const uint32_t now = REGISTER(SYSTICK_CVR);
     ticks += (systick - now) & 0xFFFFFFU;
@@ -20,27 +19,13 @@ __attribute__((noinline, section(".in_ram"))) uint32_t board_tick(void)
     return ticks;
 }
 
-__attribute__((noinline, section(".in_ram"))) uint32_t time_of_write(const uint32_t address, const uint32_t value)
+__attribute__((noinline)) uint32_t time_of_write(const uint32_t address, const uint32_t value)
 {
     interrupts_off();
     const uint32_t tick = board_tick();
     REGISTER(address) = value;
     interrupts_on();
     return tick;
-}
-
-uint32_t time_before_blindness(void)
-{
-    (void)board_tick();
-    return REGISTER(TIMER_RAW_LOW);
-}
-
-// The timer counts microseconds of the same crystal: it says how many whole turns nobody saw.
-void time_after_blindness(const uint32_t since)
-{
-    const uint32_t elapsed = (REGISTER(TIMER_RAW_LOW) - since) * TICKS_PER_US;
-    const uint32_t seen = (systick - REGISTER(SYSTICK_CVR)) & 0xFFFFFFU;  // of these the next look will know
-    ticks += (elapsed - seen + 0x800000U) & ~0xFFFFFFU;
 }
 
 void time_start(void)

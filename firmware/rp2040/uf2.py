@@ -9,10 +9,12 @@ import sys
 import zlib
 from pathlib import Path
 
-FLASH_START, FLASH_BUDGET, RAM_BUDGET = 0x10000000, 32 * 1024, 8 * 1024
+FLASH_START = 0x10000000
+APPLICATION_BUDGET, RAM_BUDGET, LOADER_BUDGET = 64 * 1024, 96 * 1024, 4 * 1024  # bytes
 BOOT2_BYTES, PAGE_BYTES, FAMILY_RP2040 = 256, 256, 0xE48BFF56
 APPLICATION, SIZE_AT = 0x1000, 192  # rp2040.ld, application.h
-RAM_START, LOADER_RAM_START = 0x20000000, 0x20030000
+RECORDS_END = 0x13000  # flash.h: blank in the UF2, so that nothing recorded before starts another application
+RAM_START, RAM_END = 0x20000000, 0x20040000
 PT_LOAD = 1
 
 
@@ -37,7 +39,7 @@ def segments(elf: bytes) -> list[tuple[int, int, int, int, int]]:
 
 def uf2(image: bytes) -> bytes:
     """Blocks of 256 payload bytes in 512."""
-    pages = [image[i : i + PAGE_BYTES].ljust(PAGE_BYTES, b"\0") for i in range(0, len(image), PAGE_BYTES)]
+    pages = [image[i : i + PAGE_BYTES].ljust(PAGE_BYTES, b"\xff") for i in range(0, len(image), PAGE_BYTES)]
     blocks = []
     for number, page in enumerate(pages):
         address = FLASH_START + number * PAGE_BYTES
@@ -60,20 +62,26 @@ def put(elf: bytearray, image: bytearray, at: int, word: int) -> None:
 def main(elf_path: Path, uf2_path: Path) -> None:
     elf = bytearray(elf_path.read_bytes())
     image = bytearray()
-    ram = 0
+    ram = loader = 0
     for offset, physical, virtual, in_file, in_memory in sorted(segments(elf), key=lambda s: s[1]):
-        if RAM_START <= virtual < LOADER_RAM_START:
+        if RAM_START <= virtual < RAM_END:
             ram += in_memory
         if in_file and physical < FLASH_START + 0x01000000:
-            image = image.ljust(physical - FLASH_START, b"\0") + elf[offset : offset + in_file]
+            loader = loader or len(image)
+            image = image.ljust(physical - FLASH_START, b"\xff") + elf[offset : offset + in_file]
     put(elf, image, BOOT2_BYTES - 4, crc32_boot2(bytes(image[: BOOT2_BYTES - 4])))
     put(elf, image, APPLICATION + SIZE_AT, len(image) - APPLICATION)
+    application = len(image) - APPLICATION
     put(elf, image, len(image) - 4, zlib.crc32(image[APPLICATION:-4]))
-    if len(image) > FLASH_BUDGET or ram > RAM_BUDGET:
-        raise SystemExit(f"uf2.py: over budget: flash {len(image)} of {FLASH_BUDGET}, RAM {ram} of {RAM_BUDGET} bytes")
-    print(f"flash {len(image)} of {FLASH_BUDGET} bytes, static RAM {ram} of {RAM_BUDGET} bytes")
+    said = (
+        f"application {application} of {APPLICATION_BUDGET} bytes, RAM {ram} of {RAM_BUDGET} bytes with it,"
+        f" loader {loader} of {LOADER_BUDGET} bytes"
+    )
+    if application > APPLICATION_BUDGET or ram > RAM_BUDGET or loader > LOADER_BUDGET:
+        raise SystemExit(f"uf2.py: over budget: {said}")
+    print(said)
     elf_path.write_bytes(elf)
-    uf2_path.write_bytes(uf2(bytes(image)))
+    uf2_path.write_bytes(uf2(bytes(image.ljust(RECORDS_END, b"\xff"))))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@
 // back what endpoint 0 still holds for the transfer before. A host that loses interest in one (macOS, whenever it
 // closes a port) never fetches its answer, and the controller keeps it armed: the next request would get it.
 
+#include <string.h>
+
 #include "../board.h"
 #include "../ticks.h"
 #include "hardware.h"
@@ -73,7 +75,7 @@ static struct {
     uint8_t made[2U + 2U * STRING_MAX];
 } control;
 
-static uint8_t line_coding[7] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 1 Mbaud 8N1; it changes nothing
+static uint8_t line_coding[7];  // it changes nothing
 
 typedef struct {
     uint8_t type;
@@ -448,6 +450,8 @@ void usb_start(void)
         leave(0U);
         return;
     }
+    static const uint8_t one_mbaud[sizeof line_coding] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 8N1
+    memcpy(line_coding, one_mbaud, sizeof line_coding);
     for (uint32_t at = 0; at < 0x100U; at += 4U) {
         REGISTER(USB_DPSRAM + at) = 0U;
     }

@@ -24,7 +24,7 @@
 #define PULL_US 20U                                      // a pad's 80 kohm at most and an open pin's 50 pF: five times
 #define CONVERSION_US 20U                                // takes 2; then it has failed
 
-static uint8_t kind = BOARD_KIND_UNKNOWN;
+static uint8_t kind;
 static uint32_t settled_us;      // when the divider has settled
 static volatile bool vbus_fell;  // since somebody asked whether it is back
 

@@ -16,6 +16,8 @@ void link_tests(void);
 void lines_tests(void);
 void queries_tests(void);
 void configuration_tests(void);
+void polarity_tests(void);
+void camera_trigger_tests(void);
 void ranges_tests(void);
 void sequencer_tests(void);
 void lamps_tests(void);

@@ -40,6 +40,8 @@ int main(void)
     lines_tests();
     queries_tests();
     configuration_tests();
+    polarity_tests();
+    camera_trigger_tests();
     ranges_tests();
     sequencer_tests();
     lamps_tests();

@@ -79,6 +79,60 @@ static void nobody_begins_to_measure_on_a_head_at_work(void)
     EXPECT_EQ(measure(1, PIN_SYNC, 0, 0), STATUS_BAD_STATE);
 }
 
+static void turn(const uint32_t counts)
+{
+    static uint32_t at;
+    static const uint8_t levels[] = {0, 1, 3, 2};  // B A
+    for (uint32_t i = 0; i < counts; i++) {
+        const uint8_t level = levels[++at % 4U];
+        native_input(native_tick() + 1U, PIN_ODOMETER_A, level & 1U);
+        native_input(native_tick() + 1U, PIN_ODOMETER_B, level >> 1);
+        rig_pass(100U);
+    }
+    rig_pass(MS);
+}
+
+static event_edge_t edge(void)
+{
+    rig_edge(PERIOD);
+    rig_pass(MS);
+    event_edge_t event;
+    event_edge_unpack(&event, rig_take(EVENT_EDGE)->payload);
+    return event;
+}
+
+static void edges_that_a_measurement_left_uncounted_say_so(void)
+{
+    rig_start();
+    const uint8_t level = LEVEL;
+    rig_status_of(COMMAND_INFO, &level);
+    rig_edge(PERIOD);
+    turn(8);
+    rig_forget();
+    const event_edge_t before = edge();
+    EXPECT_EQ(before.flags & EDGE_ODOMETER_FROZEN, 0);
+    EXPECT_EQ(measure(1, PIN_STEP, 1, 0), STATUS_OK);
+    turn(8);
+    const event_edge_t during = edge();
+    EXPECT_EQ(during.flags & EDGE_ODOMETER_FROZEN, EDGE_ODOMETER_FROZEN);
+    EXPECT_EQ(during.odometer, before.odometer);  // as on the Pico
+    EXPECT_EQ(measure(0, 0, 0, 0), STATUS_OK);
+    EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, EDGE_ODOMETER_FROZEN);  // since the one before
+    turn(4);
+    const event_edge_t after = edge();
+    EXPECT_EQ(after.flags & EDGE_ODOMETER_FROZEN, 0);
+    EXPECT_EQ(after.odometer - before.odometer, 4);
+    EXPECT_EQ(measure(1, PIN_STEP, 1, 0), STATUS_OK);  // begun and ended between two edges
+    EXPECT_EQ(measure(0, 0, 0, 0), STATUS_OK);
+    EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, EDGE_ODOMETER_FROZEN);
+    EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, 0);
+    for (uint8_t lower = 1; lower < LEVEL; lower++) {
+        rig_status_of(COMMAND_INFO, &lower);
+        EXPECT_EQ(measure(1, PIN_STEP, 1, 0), STATUS_OK);
+        EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, 0);  // it would not know the flag
+    }
+}
+
 static void a_wire_carries_an_outputs_level_to_an_input(void)
 {
     rig_start();
@@ -98,5 +152,6 @@ void measure_tests(void)
     RUN(a_look_shows_a_flash_tick_by_tick);
     RUN(looks_that_are_alike_are_counted_and_one_that_differs_ends_it);
     RUN(nobody_begins_to_measure_on_a_head_at_work);
+    RUN(edges_that_a_measurement_left_uncounted_say_so);
     RUN(a_wire_carries_an_outputs_level_to_an_input);
 }

@@ -345,7 +345,7 @@ static void a_host_of_level_1_reads_of_none(void)
     for (const got_t* got = rig_take(EVENT_EDGE); got != NULL; got = rig_take(EVENT_EDGE)) {
         event_edge_t edge;
         event_edge_unpack(&edge, got->payload);
-        EXPECT_EQ(edge.flags & ~EDGE_AT_LEVEL_1, 0);
+        EXPECT_EQ(edge.flags & ~edge_flags_at_level(1), 0);
         seen++;
     }
     EXPECT_EQ(seen, 5);

@@ -46,7 +46,7 @@ static reply_update_begin_t begin(const uint32_t size, const uint32_t crc, const
 
 static reply_update_begin_t begin_ours(void)
 {
-    return begin(SIZE, application_crc(made), "native");
+    return begin(SIZE, application_word(made + SIZE - 4U), "native");
 }
 
 static reply_update_data_t data(const uint32_t offset)
@@ -144,7 +144,7 @@ static void what_is_damaged_or_foreign_is_refused(void)
     end_is(STATUS_BAD_STATE, UPDATE_REFUSAL_FOREIGN);
     rig_start();
     make();
-    begin(SIZE, application_crc(made) ^ 1U, "native");  // whole, but another than was announced
+    begin(SIZE, application_word(made + SIZE - 4U) ^ 1U, "native");  // whole, but another than was announced
     send(0, SIZE);
     end_is(STATUS_BAD_STATE, UPDATE_REFUSAL_DAMAGED);
 }

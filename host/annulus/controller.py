@@ -14,7 +14,7 @@ CHIPS_MAX = 256  # of a burst
 TRIGGER_TICKS = 100  # length of the digitizer trigger
 HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
-UPDATE_MAX_BYTES = 28672  # largest application: the 32 KiB of the whole image without its loader
+UPDATE_MAX_BYTES = 65536  # largest application: a slot of flash
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
 INTERLOCK_DISAGREE_MS = 5  # two interlock inputs may contradict each other for so long: a relay's contacts
 PREAMBLE_MAX = 63  # edges of a preamble
@@ -34,6 +34,7 @@ CHIP_MAX_TICKS = 3000  # longest
 BURST_PERIOD_MAX_TICKS = 100000000  # longest burst period; the shortest is the chips and one more
 BURST_PERIOD_MIN_TICKS = 600  # and never shorter than this: a burst that is all dark has no duty to say so
 BURST_REPEAT_MAX = 65535  # bursts of a train
+CAMERA_TRIGGER_MIN_TICKS = 100  # shortest trigger of a camera, and shortest rest between two
 TURNTABLE_PERIOD_MIN_TICKS = 10000  # fastest step to step
 TURNTABLE_POSITION_MAX_STEPS = 500000000  # farthest from where it stood at reset, either way
 TURNTABLE_ACCELERATION_MAX = 10000000  # steps per second, a second
@@ -56,6 +57,7 @@ PIN_END_HIGH = 12  # turntable's upper end switch
 PIN_INTERLOCK_ANTIVALENT = 13  # second interlock input, looked at once configured: closed = high, open or broken = low
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
+PIN_CAMERA_TRIGGER = 16  # trigger of a camera that takes one: lasts as long as it exposes
 PIN_VBUS = 24  # 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
 PIN_STATUS = 25  # status light: something is armed; on a Pico W it stays low, there is no light at this pin
 INPUT_PINS = (
@@ -68,7 +70,17 @@ INPUT_PINS = (
     PIN_ODOMETER_B,
     PIN_VBUS,
 )
-OUTPUT_PINS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_STATUS)
+OUTPUT_PINS = (
+    PIN_PROJECTOR,
+    PIN_LED,
+    PIN_MICROWAVE,
+    PIN_TRIGGER,
+    PIN_STEP,
+    PIN_DIRECTION,
+    PIN_ENABLE,
+    PIN_CAMERA_TRIGGER,
+    PIN_STATUS,
+)
 
 CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first
     "single": "1",

@@ -37,6 +37,7 @@ class EdgeFlag(IntFlag):
     FIRST = 4  # no previous edge to qualify against
     DISARMED = 8  # lamps not armed: dark frame on purpose
     PREAMBLE = 16  # no doubt: of an optical preamble, in which any lamp may follow any other; the slot counts its edges
+    ODOMETER_FROZEN = 32  # it stood still for a measurement, here or since the edge before: counts are missing
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,7 @@ def c_header(protocol: Protocol) -> str:
     for name, members in protocol.flags.items():
         out.append("")
         out += [f"#define {name.upper()}_{member.upper()} {value}U" for member, value in members.items()]
-        old = sum(value for member, value in members.items() if (name, member) not in protocol.added)
-        if old != sum(members.values()):
-            out.append(f"#define {name.upper()}_AT_LEVEL_1 {old}U  // of these, what a host of level 1 knows")
+        out += flags_at_level(protocol, name)
     out += ["", "enum {"]
     out += [f"    {m.kind.upper()}_{m.name.upper()} = 0x{m.id:02X}," for m in protocol.messages] + ["};"]
     for message in protocol.messages:
@@ -72,6 +70,19 @@ def c_header(protocol: Protocol) -> str:
         "",
     ]
     return "\n".join(out)
+
+
+def flags_at_level(protocol: Protocol, name: str) -> list[str]:
+    """For a host of a lower level: those of the flags that it knows."""
+    since = {member: protocol.added.get((name, member), 1) for member in protocol.flags[name]}
+    if set(since.values()) == {1}:
+        return []
+    out = [f"// Of the flags of `{name}`, those that a host of this level knows."]
+    out += [f"static inline uint32_t {name}_flags_at_level(const uint8_t level)", "{"]
+    for level in sorted(set(since.values()) - {1}):
+        known = sum(value for member, value in protocol.flags[name].items() if since[member] < level)
+        out += [f"    if (level < {level}U) {{", f"        return {known}U;", "    }"]
+    return [*out, f"    return {sum(protocol.flags[name].values())}U;", "}"]
 
 
 def has_range(message: Message) -> bool:

@@ -29,6 +29,7 @@ def reference(protocol: Protocol) -> str:
         for message in protocol.of(kind):
             marks = [mark for mark, on in (("frozen", message.frozen), ("query", message.query)) if on]
             marks += [f"level {message.since}"] if message.since > 1 else []
+            marks += [f"needs {message.needs}"] if message.needs else []
             out += ["", f"### {message.name} 0x{message.id:02X}" + (f" ({', '.join(marks)})" if marks else "")]
             out += ["", message.doc, ""]
             out += reference_table(message)

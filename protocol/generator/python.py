@@ -12,6 +12,8 @@ ENUM_NAMES = {
     "stop_cause": "StopCause",
     "burst_code": "BurstCode",
     "crash": "CrashKind",
+    "image_why": "ImageWhy",
+    "image_flash": "ImageFlash",
     "part": "RoundPart",
     "board_kind": "BoardKind",
     "presence": "Presence",
@@ -21,9 +23,9 @@ FLAG_NAMES = {
     "state": "StateFlag",
     "turntable": "TurntableFlag",
     "interlock": "InterlockFlag",
+    "polarity": "PolarityFlag",
     "arm": "ArmFlag",
 }
-LINE_MAX = 120
 FROM_VOCABULARY = ("EdgeFlag", "Lamp")
 
 PYTHON_HEAD = '''"""Every message of the wire, as it crosses it. {generated}
@@ -240,10 +242,10 @@ def controller_module(protocol: Protocol) -> str:
     out += ["", "# Pins, by GPIO."]
     out += [f"PIN_{name.upper()} = {pin.number}  # {pin.what}" for name, pin in protocol.pins.items()]
     for use in ("in", "out"):
-        names = [f"PIN_{name.upper()}" for name, pin in protocol.pins.items() if pin.use == use]
-        line = f"{use.upper()}PUT_PINS = ({', '.join(names)})"
-        tall = [f"{use.upper()}PUT_PINS = (", *(f"    {name}," for name in names), ")"]  # as the formatter has it
-        out += [line] if len(line) <= LINE_MAX else tall
+        names = ", ".join(f"PIN_{name.upper()}" for name, pin in protocol.pins.items() if pin.use == use)
+        one_line = f"{use.upper()}PUT_PINS = ({names})"
+        lines = [f"{use.upper()}PUT_PINS = (", *(f"    {name}," for name in names.split(", ")), ")"]
+        out += [one_line] if len(one_line) <= 120 else lines
     out += ["", "CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first"]
     out += [f'    "{name.replace("_", "-")}": "{chips}",' for name, chips in protocol.codes.items()]
     return "\n".join([*out, "}", ""])

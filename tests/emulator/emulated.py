@@ -38,9 +38,10 @@ ELF = Path(os.environ.get("ANNULUS_IMAGE", IMAGE)).with_suffix(".elf")
 EMULATOR = ROOT / "tools/emulator/emulate.mjs"
 
 MS = 1000 * TICKS_PER_US
-BOOTED = 3 * MS  # boot ROM, clocks, first event are over
+BOOTED = 30 * MS  # boot ROM, loader, clocks, first event are over
 LATENCY = 9  # from the pin's edge to the lamp's, beyond the programmed delay: the constant of the README
 PERIOD = 4_000_000
+ROUND_MAX = 500 * TICKS_PER_US  # of the main loop, its sleep not counted: a quarter of a microwave credit
 OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER)
 
 E = TypeVar("E", bound=Event)
@@ -126,6 +127,7 @@ class EmulatedBoard:
         self.stack = 0  # bytes, the deepest so far
         self.rounds = (0, 0)  # ticks the main loop's longest took, and when it began; set it to begin anew
         self.pulled_up = False  # D+, by the device
+        self.longest = (0, 0)  # the same, of all
         self.origin = 0  # tick at which the controller began to count its own
         self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
         self.flash = {"erased": 0, "programmed": 0}  # sectors and pages since the beginning
@@ -168,6 +170,7 @@ class EmulatedBoard:
         self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
         self.rounds = max(self.rounds, tuple(answer["round"]))
+        self.longest = max(self.longest, tuple(answer["round"]))
         self.flash, self.pulled_up = answer["flash"], answer["pulled_up"]
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
@@ -219,6 +222,10 @@ class EmulatedBoard:
     def let_go(self, pin: int) -> None:
         """An input's wire is off: its pad pulls it."""
         self._do(op="let-go", pin=pin)
+
+    def pull(self, *pulls: tuple[int, int]) -> None:
+        """Resistors outside at these outputs, to this level each, in place of those before."""
+        self._do(op="pulls", pulls=pulls)
 
     def write(self, data: bytes) -> None:
         if self.over_usb:
@@ -286,6 +293,9 @@ class EmulatedBoard:
     def spoil_flash(self, at: int, data: bytes) -> None:
         self._do(op="flash", at=at, hex=data.hex())
 
+    def spoil_ram(self, at: int, data: bytes) -> None:
+        self._do(op="ram", at=at, hex=data.hex())
+
     def erase_takes(self, ticks: int) -> None:
         """A sector of flash, from now on."""
         self._do(op="flash", erase_ticks=ticks)
@@ -303,8 +313,16 @@ class EmulatedBoard:
             self.run(self.now + MS // 2)
         return mine[0]
 
-    def identify(self) -> IdentifyReply:
-        reply = self.request(Identify(protocol=1, schema=SCHEMA_HASH))
+    def identify(self, within: int = 100 * MS) -> IdentifyReply:
+        """As a host does: it asks until it is answered, since the board may be starting."""
+        end = self.now + within
+        while True:
+            try:
+                reply = self.request(Identify(protocol=1, schema=SCHEMA_HASH))
+                break
+            except AssertionError:
+                if self.now >= end or self.bootloader:
+                    raise
         assert isinstance(reply, IdentifyReply)
         self.replies.clear()
         self.send(Info(level=LEVEL))  # from here on nothing is held back; an older image says garbled

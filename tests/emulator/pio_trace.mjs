@@ -8,7 +8,7 @@ import { Machine } from '../../tools/emulator/machine.mjs';
 import { Pio } from '../../tools/emulator/pio.mjs';
 
 const board = new Machine(readFileSync(process.argv[2]));
-board.run(300_000);
+board.run(3_000_000);
 const settings = ({ execctrl, shiftctrl, pinctrl, enabled }) => ({ execctrl, shiftctrl, pinctrl, enabled });
 process.stdout.write(JSON.stringify(board.pios.map((pio) => ({
   memory: pio.memory.map((word) => word ?? null), machines: pio.state.map(settings),

@@ -35,23 +35,24 @@ def info_of(board: EmulatedBoard) -> InfoReply:
 
 
 def function_at(address: int) -> str:
-    tool = ["arm-none-eabi-addr2line", "-f", "-e", str(ELF), hex(address)]
-    return subprocess.run(tool, capture_output=True, text=True, check=True).stdout.splitlines()[0]
+    """The one that was called, whatever was inlined into it."""
+    tool = ["arm-none-eabi-addr2line", "-f", "-i", "-e", str(ELF), hex(address)]
+    return subprocess.run(tool, capture_output=True, text=True, check=True).stdout.splitlines()[-2]
 
 
 def test_where_a_main_loop_hung_is_told_after_the_watchdog(board: EmulatedBoard) -> None:
     """The reset used to take every trace with it."""
     board.identify()
     assert crash_of(board).kind == CrashKind.NONE and info_of(board).crashes == 0
-    at = board.trap("query_status", "hang")
+    at = board.trap("execute_status", "hang")
     board.send(Status())
     board.run(board.now + 105 * MS)
     assert len(board.resets) == 1
     assert board.identify().cause == BootCause.WATCHDOG
     crash = crash_of(board)
     assert (crash.kind, crash.crashes, crash.boot, crash.boots) == (CrashKind.STUCK, 1, 1, 2)
-    assert crash.pc == at and function_at(crash.pc) == "query_status"
-    assert function_at(crash.lr & ~1) == "commands_execute"
+    assert crash.pc == at and function_at(crash.pc) == "execute_status"
+    assert function_at(crash.lr & ~1) == "dispatch"
     assert (crash.part, crash.command) == (RoundPart.COMMAND, Status.ID)
     assert 10 < crash.rounds < 10_000
     assert 0 < crash.round_longest < 2 * MS
@@ -63,7 +64,7 @@ def test_a_hard_fault_leaves_outputs_low_at_once_and_a_record(board: EmulatedBoa
     board.pulse(board.now + MS)
     board.run(board.now + 3 * MS)
     assert board.rises(PIN_PROJECTOR) and not board.falls(PIN_PROJECTOR)
-    at = board.trap("query_ping", "fault")
+    at = board.trap("execute_ping", "fault")
     board.send(Ping())
     board.run(board.now + 3 * MS)
     (fell,) = board.falls(PIN_PROJECTOR)
@@ -82,7 +83,7 @@ def test_a_loop_that_only_stood_still_has_no_place_and_one_that_came_back_no_rec
     assert not board.resets and crash_of(board).kind == CrashKind.NONE
     assert info_of(board).round_longest < 95 * MS
     board.stall(110 * MS)
-    board.run(board.now + 130 * MS)
+    board.run(board.now + 110 * MS + BOOTED)
     assert len(board.resets) == 1
     crash = crash_of(board)
     assert (crash.kind, crash.crashes, crash.pc) == (CrashKind.STUCK, 1, 0)
@@ -90,12 +91,12 @@ def test_a_loop_that_only_stood_still_has_no_place_and_one_that_came_back_no_rec
 
 def test_a_record_outlives_resets_but_not_the_power(board: EmulatedBoard) -> None:
     board.identify()
-    board.trap("query_ping", "hang")
+    board.trap("execute_ping", "hang")
     board.send(Ping())
-    board.run(board.now + 110 * MS)
+    board.run(board.now + 100 * MS + BOOTED)
     first = crash_of(board)
     board.request(Reset(magic=RESET_MAGIC))
-    board.run(board.now + 10 * MS)
+    board.run(board.now + BOOTED)
     again = crash_of(board)
     assert (again.kind, again.pc, again.boot) == (CrashKind.STUCK, first.pc, 1)
     assert (again.crashes, again.boots) == (1, 3)
@@ -120,9 +121,9 @@ def test_boot_bytes_of_power_ups_are_spread_though_the_ring_oscillator_is_not_fa
 
 def test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart(board: EmulatedBoard) -> None:
     board.identify()
-    board.trap("query_ping", "hang")
+    board.trap("execute_ping", "hang")
     board.send(Ping())
-    board.run(board.now + 110 * MS)
+    board.run(board.now + 100 * MS + BOOTED)
     for _ in range(2):
         before = board.identify().boot
         board.power_cycle(short=True)

@@ -4,7 +4,7 @@ import itertools
 import random
 
 import pytest
-from emulated import MS, EmulatedBoard, arm
+from emulated import BOOTED, MS, EmulatedBoard, arm
 
 from annulus.controller import PIN_MICROWAVE, PIN_TRIGGER
 from annulus.link.messages import (
@@ -86,7 +86,7 @@ def test_what_a_cut_burst_owes_is_paid_also_after_a_reset(board: EmulatedBoard) 
     assert len(board.rises(PIN_MICROWAVE)) == cut
     assert board.request(dense).status == StatusCode.OK
     assert board.request(Reset(magic=0x7E5E7B00)).status == StatusCode.OK
-    board.run(board.now + 6 * MS)
+    board.run(board.now + BOOTED)
     sent = len(board.rises(PIN_MICROWAVE))
     board.request(Identify(protocol=1, schema=SCHEMA_HASH))
     for command in (Pattern(length=128, chips=chips), Arm(outputs=ArmFlag.MICROWAVE)):

@@ -10,6 +10,7 @@ from emulated import (
     LATENCY,
     MS,
     ROOT,
+    ROUND_MAX,
     EmulatedBoard,
     EmulatorFault,
     arm,
@@ -81,12 +82,16 @@ def test_budgets_hold_and_the_stack_has_room(image: Path, board: EmulatedBoard) 
         ["arm-none-eabi-size", "-A", str(image.with_suffix(".elf"))], capture_output=True, text=True, check=True
     ).stdout
     sections = {line.split()[0]: int(line.split()[1]) for line in size.splitlines() if line.startswith(".")}
-    flash = sections[".boot2"] + sections[".text"] + sections.get(".data", 0)
-    ram = sections.get(".data", 0) + sections[".bss"]
-    print(f"flash {flash} of 32768, static RAM {ram} of 8192, stack {board.stack} of 4096 bytes")
-    assert flash <= 32 * 1024
-    assert ram <= 8 * 1024
-    assert board.stack <= 2048
+    application = sections[".text"]
+    ram = application + sections[".bss"] + sections[".noinit"]
+    longest = board.rounds[0]
+    print(f"application {application} of 65536, RAM {ram} of 98304, stack {board.stack} of 1024 bytes")
+    print(f"loader {sections['.loader']} of 4096 bytes, longest round {longest / 100:.0f} of 500 us")
+    assert application <= 64 * 1024
+    assert ram <= 96 * 1024
+    assert sections[".loader"] <= 4096
+    assert board.stack <= 1024
+    assert longest <= ROUND_MAX
 
 
 @pytest.mark.deep(gate="tests/emulator/test_image.py::test_budgets_hold_and_the_stack_has_room")

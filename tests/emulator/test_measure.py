@@ -17,11 +17,14 @@ from annulus.controller import (
     PIN_TRIGGER,
 )
 from annulus.link.messages import (
+    LEVEL,
     Arm,
     ArmFlag,
     Burst,
     BurstCode,
     Commit,
+    Edge,
+    Info,
     Measure,
     Move,
     Samples,
@@ -30,6 +33,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
+from annulus.vocabulary import EdgeFlag
 
 PERIOD = 200_000
 TICKS = 512
@@ -164,3 +168,23 @@ def test_the_odometer_counts_on_after_a_measurement_and_after_a_new_host(board: 
     board.request(Measure(1, PIN_STEP, 1, PIN_SYNC, 0))
     board.identify()
     assert turn(5) == before - before // 24 * 1
+
+
+def test_edges_that_a_measurement_left_uncounted_say_so(board: EmulatedBoard) -> None:
+    board.run(BOOTED)
+    board.identify()
+    board.request(Info(level=LEVEL))
+
+    def flags() -> list[bool]:
+        board.events.clear()
+        for _ in range(2):
+            board.pulse(board.now + MS)
+            board.run(board.now + 3 * MS)
+        return [EdgeFlag.ODOMETER_FROZEN in edge.flags for edge in board.events if isinstance(edge, Edge)]
+
+    flags()
+    assert flags() == [False, False]
+    board.request(Measure(1, PIN_STEP, 1, PIN_SYNC, 0))
+    assert flags() == [True, True]
+    board.request(Measure(0, 0, 0, 0, 0))
+    assert flags() == [True, False]

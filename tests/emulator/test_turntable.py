@@ -5,7 +5,7 @@ import math
 import random
 
 import pytest
-from emulated import MS, EmulatedBoard
+from emulated import BOOTED, MS, EmulatedBoard
 
 from annulus.controller import (
     PIN_DIRECTION,
@@ -264,7 +264,7 @@ def test_a_processor_that_stands_still_leaves_it_without_power(board: EmulatedBo
     board.run(stuck + 180 * MS)
     [reset] = board.resets
     assert reset <= stuck + 102 * MS
-    board.run(stuck + 210 * MS)  # until then its own pull-up holds ENABLE
+    board.run(stuck + 200 * MS + BOOTED)  # until then its own pull-up holds ENABLE
     assert max(board.rises(PIN_STEP)) <= reset
     assert [level for _, pin, level in board.transitions if pin == PIN_ENABLE][-1] == 1
 

@@ -123,6 +123,7 @@ LARGE = {
     "tests/emulator/test_burst_limits.py": 12.0,
     "tests/emulator/test_burst_to_peak.py": 10.0,
     "tests/emulator/test_image_lamps.py": 11.0,
+    "tests/emulator/test_loader.py": 14.0,
     "tests/emulator/test_selftest.py": 15.0,
     "tests/emulator/test_update.py": 17.0,
     "tests/emulator/test_usbip.py": 13.0,

@@ -2,7 +2,9 @@
 // boards there are (their schematics): a Pico, a Pico W, or one of another maker ("other") where both pins are open.
 
 import { fault, hex } from './fault.mjs';
+import { adcMHz } from './clocks.mjs';
 import { PIN } from './controller.mjs';
+import { pull } from './inputs.mjs';
 
 const VSYS_PIN = 29, VSYS_INPUT = 3;
 const READY_TICKS = 100; // after it is switched on; the datasheet names no time
@@ -15,7 +17,7 @@ const OPEN_V = 0.31; // an open pin of the ADC: anything, so what is neither
 
 export const BOARDS = ['pico', 'pico-w', 'other'];
 
-export class Adc {
+class Adc {
   constructor(kind, clockMHz) {
     if (!BOARDS.includes(kind)) fault(`board ${kind}: expected one of ${BOARDS.join(', ')}`);
     this.kind = kind;
@@ -72,6 +74,22 @@ export class Adc {
 }
 
 // GP24 on the board: what its divider makes of VBUS on a Pico, whatever the pad pulls. On a Pico W the radio drives it.
-export function checkVbusPad(kind, pin, value) {
+function checkVbusPad(kind, pin, value) {
   if (kind === 'pico-w' && pin === PIN.VBUS && value & 0x48) fault('GP24 is taken for an input or pulled up: on a Pico W it is the data line of the radio');
+}
+
+// What is around the chip: the ADC's divider, and VBUS where it is sensed.
+export function fitBoard(machine, board) {
+  machine.adc = new Adc(board, () => adcMHz(machine));
+  if (board !== 'pico') return;
+  machine.usb.onCable = (isIn) => { machine.sync(); machine.drive(PIN.VBUS, isIn ? 1 : 0); };
+  machine.held.add(PIN.VBUS);
+  machine.levels.set(PIN.VBUS, 0);
+}
+
+export function padWritten(machine, pin) {
+  const { padValue } = machine.chip.gpio[pin];
+  checkVbusPad(machine.adc.kind, pin, padValue);
+  machine.adc.padWritten(pin, padValue, machine.now);
+  pull(machine, pin);
 }

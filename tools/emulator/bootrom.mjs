@@ -3,14 +3,12 @@
 import { OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET } from './controller.mjs';
 import { fault, hex } from './fault.mjs';
 import { FLASH_BYTES } from './flash.mjs';
-import { callFlash } from './power.mjs';
 
 export const FLASH = 0x10000000;
 const ROM_TABLE = 0x7a;
 const ROM_LOOKUP = 0x1d0;
 const ROM_TO_USB_BOOT = 0x1e0;
-export const ROM_FLASH = { connect: 0x1f0, exit: 0x1f8, erase: 0x200, program: 0x208, flush: 0x210 };
-const FUNCTIONS = { UB: ROM_TO_USB_BOOT, IF: ROM_FLASH.connect, EX: ROM_FLASH.exit, RE: ROM_FLASH.erase, RP: ROM_FLASH.program, FC: ROM_FLASH.flush };
+const FUNCTIONS = { UB: ROM_TO_USB_BOOT };
 
 export function readUf2(file) {
   return writeUf2(file, new Uint8Array(FLASH_BYTES).fill(0xff));
@@ -68,7 +66,8 @@ export function callRom(machine) {
       return;
     case ROM_TO_USB_BOOT: {
       // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
-      const high = OUTPUT_PINS.filter((pin) => !OUTPUTS_HIGH_AT_RESET.includes(pin) && machine.pinLevels.get(pin));
+      const rest = (pin) => machine.pulls.get(pin) ?? (OUTPUTS_HIGH_AT_RESET.includes(pin) ? 1 : 0); // a resistor outside: the driver wants it
+      const high = OUTPUT_PINS.filter((pin) => machine.pinLevels.get(pin) === 1 && rest(pin) === 0);
       machine.bootloader = { tick: machine.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
       machine.watchdog.scratchData[0] = r0;
       machine.watchdog.scratchData[1] = r1;
@@ -78,5 +77,5 @@ export function callRom(machine) {
       return;
     }
   }
-  if (!callFlash(machine, (core.PC - 2) & ~1)) fault(`breakpoint at ${hex(core.PC - 2)}`);
+  fault(`breakpoint at ${hex(core.PC - 2)}`);
 }

@@ -9,30 +9,30 @@
 //
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
 //   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
-//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "let-go", "pin": N} (an input whose wire is off) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
+//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "let-go", "pin": N} (an input whose wire is off) | {"op": "pulls", "pulls": [[output, level], ..]} (resistors outside) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
-//   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot)
+//   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot) | {"op": "ram", "at": ADDRESS, "hex": ".."}
 //   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing, "board": KIND or nothing} (another board in place of this one)
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
 // knows, or null), pulled_up (D+, by the device), origin (tick at which the controller's own count began), round ([ticks, when it began] of the main loop's longest that ended since the last answer). --flash-id: the flash chip's 64 bits, 16 hex digits.
-// --board pico | pico-w | other: what carries the chip. --flash-waits: a line that is not in the flash's cache costs what it costs on a Pico.
+// --board pico | pico-w | other: what carries the chip.
 
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
-import { MISS_TICKS } from './cache.mjs';
 import { letGo, setWires } from './inputs.mjs';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
-import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash } from './power.mjs';
+import { setPulls } from './pads.mjs';
+import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] [--flash-waits] [--board KIND] | --drive [--vcd FILE] [--flash-id HEX] [--flash-waits] [--board KIND]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] [--board KIND] | --drive [--vcd FILE] [--flash-id HEX] [--board KIND]\n`);
   process.exit(2);
 }
 
@@ -40,7 +40,7 @@ function options(args) {
   const given = { image: undefined };
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
-    else if (args[i] === '--flash-waits') given.waits = true;
+    else if (args[i] === '--flash-waits') continue; // they always are
     else if (['--serve', '--serve-usb', '--serve-usbip', '--sync-hz', '--wires', '--vcd', '--flash-id', '--board'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
@@ -62,6 +62,7 @@ function answer(machine, op) {
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
     case 'wires': setWires(machine, op.wires); break;
     case 'let-go': letGo(machine, op.pin); break;
+    case 'pulls': setPulls(machine, op.pulls); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
     case 'power-cycle': powerCycle(machine, op.short); break;
@@ -75,6 +76,7 @@ function answer(machine, op) {
       if (op.erase_ticks !== undefined) machine.flashChip.eraseTicks = op.erase_ticks;
       if (op.hex !== undefined) spoilFlash(machine, op.at, Buffer.from(op.hex, 'hex'));
       break;
+    case 'ram': spoilRam(machine, op.at, Buffer.from(op.hex, 'hex')); break;
     case 'anew': break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
@@ -82,8 +84,8 @@ function answer(machine, op) {
 }
 
 // A board just switched on, its interlock closed.
-function powered(image, flashId, missTicks, board) {
-  const machine = new Machine(readFileSync(image), flashId, missTicks, board);
+function powered(image, flashId, board) {
+  const machine = new Machine(readFileSync(image), flashId, board);
   machine.input(0, PIN.INTERLOCK, 0);
   return machine;
 }
@@ -95,7 +97,7 @@ function drive(machine, vcd) {
       const op = JSON.parse(line);
       if (op.op === 'anew') { // nothing of a board outlives it: all its state is the machine's
         machine.host.close?.();
-        machine = powered(op.image, op.flash_id, 0, op.board);
+        machine = powered(op.image, op.flash_id, op.board);
       }
       reply = answer(machine, op);
       vcd?.write(reply.pins, reply.sent, reply.now);
@@ -168,7 +170,7 @@ function serve(machine, given, vcd) {
 const given = options(process.argv.slice(2));
 let machine;
 try {
-  machine = powered(given.image, given['flash-id'], given.waits ? MISS_TICKS : 0, given.board);
+  machine = powered(given.image, given['flash-id'], given.board);
 } catch (error) {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);

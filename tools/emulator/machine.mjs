@@ -1,17 +1,17 @@
 // The shipped image on an RP2040: processor, timer, clocks and pads by rp2040js; PIO, DMA, UART, resets and the checks
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
-import { RP2040, GPIOPinState } from 'rp2040js';
-import { Adc, checkVbusPad } from './adc.mjs';
-import { Cache } from './cache.mjs';
+import { RP2040 } from 'rp2040js';
+import { fitBoard, padWritten } from './adc.mjs';
+import { Cache, MISS_TICKS } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
-import { adcMHz, usbMHz } from './clocks.mjs';
+import { usbMHz } from './clocks.mjs';
 import { INPUT_PINS, OUTPUT_PINS, PIN, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
-import { pull } from './inputs.mjs';
 import { Loop, SysTick } from './loop.mjs';
+import { padLevel, putBehindOverride, writePinControl } from './pads.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
 import { Trap } from './trap.mjs';
@@ -19,7 +19,9 @@ import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
+const USED_PINS = [...INPUT_PINS, ...OUTPUT_PINS];
 const RAM = 0x20000000;
+const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
@@ -31,10 +33,10 @@ const RESET_OF = new Map([
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0, board = 'pico') {
+  constructor(uf2, flashId = 'e6616408438a1c2f', board = 'pico') {
     this.flash = readUf2(uf2);
-    this.flashChip = new Flash(this.flash);
-    this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
+    this.flashChip = new Flash(this.flash, Buffer.from(flashId, 'hex'), (at, size) => this.chip.flash.set(this.flash.subarray(at, at + size), at));
+    this.ssi = new Ssi(this.flashChip);
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
     this.levels = new Map(); // of inputs
@@ -43,16 +45,15 @@ export class Machine {
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
     this.wires = new Map(); // output pin => the input it drives
+    this.pulls = new Map(); // output pin => level of a resistor outside
     this.stalledUntil = 0;
     this.resets = [];
     this.scratch = new Uint32Array(8);
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
     this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => usbMHz(this));
     this.host = new UsbHost(this.usb);
-    this.adc = new Adc(board, () => adcMHz(this));
-    this.usb.onCable = (isIn) => { if (board === 'pico') { this.sync(); this.drive(PIN.VBUS, isIn ? 1 : 0); } };
-    if (board === 'pico') { this.held.add(PIN.VBUS); this.levels.set(PIN.VBUS, 0); }
-    this.cache = new Cache(missTicks);
+    fitBoard(this, board);
+    this.cache = new Cache(MISS_TICKS);
     this.loop = new Loop();
     this.waits = 0; // of the instruction being run, for data in flash
     this.usedInstructions = 0;
@@ -88,7 +89,6 @@ export class Machine {
     this.adc.reset();
     this.adc.padWritten(29, 0x56, this.now);
     this.cache.reset();
-    this.flashChip.reset();
     this.host.now = this.now;
     this.usb.reset();
     this.padsSet = new Set();
@@ -105,8 +105,9 @@ export class Machine {
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
     this.quietUntil = this.now;
-    for (const index of [...INPUT_PINS, ...OUTPUT_PINS]) {
+    for (const index of USED_PINS) {
       const pin = chip.gpio[index];
+      putBehindOverride(pin);
       pin.addListener(() => this.note(index));
       if (OUTPUT_PINS.includes(index)) this.note(index);
     }
@@ -124,7 +125,7 @@ export class Machine {
     core.registers[13] = 0x20041f00;
     core.registers[14] = 0;
     core.registers[15] = BOOT2_AT;
-    this.heldUntil = this.now + BOOT_ROM_TICKS;
+    this.heldUntil = Math.max(this.now, this.flashChip.work?.until ?? 0) + BOOT_ROM_TICKS; // it tries until the flash answers
     this.nextDue = 0;
     this.systick = new SysTick();
     this.loop.stalled();
@@ -133,9 +134,9 @@ export class Machine {
 
   note(index) {
     const pin = this.chip.gpio[index];
-    const value = pin.value;
-    const level = value === GPIOPinState.High || value === GPIOPinState.InputPullUp ? 1 : 0;
     if (!OUTPUT_PINS.includes(index)) return;
+    const level = padLevel(pin, this.pulls.get(index));
+    pin.rawInputValue = level === 1;
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
@@ -214,7 +215,7 @@ export class Machine {
       case 0x40060: return this.ringOscillator();
       case 0x40034: return this.uart.readUint32(offset, this.now);
       case 0x4004c: return this.adc.readUint32(offset, this.now);
-      case 0x18000: return this.ssi.readUint32(offset);
+      case 0x18000: return this.ssi.readUint32(offset, this.now);
       case 0x50110: return this.usb.readUint32(offset, this.now);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
@@ -257,7 +258,7 @@ export class Machine {
         if (offset !== 0) fault('RESETS register');
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
-      case 0x18000: return this.ssi.writeUint32(offset, value);
+      case 0x18000: return this.ssi.writeUint32(offset, value, this.now);
       case 0x4004c: return this.adc.writeUint32(offset, kind ? plain(this.adc.readUint32(offset, this.now)) : value, this.now);
       case 0x50110:
         this.host.now = this.now;
@@ -280,25 +281,22 @@ export class Machine {
         if (offset < 0xf0 && (offset & 4) && (value & 31) !== 31 && !this.padsSet.has(offset >> 3)) {
           fault(`GPIO${offset >> 3} is used, but its pad is left as it was at reset`);
         }
+        if (offset < 0xf0) return writePinControl(this, offset, value, kind);
         break;
       case 0x40054:
         if (!this.watchdog.tickEnable) fault('the timer stands still: nobody started the watchdog tick');
         break;
       case 0x40010: this.wdsel = value; break;
-      case 0x40058: if (offset === 4) this.loop.kicked(this.now); if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
+      case 0x40058: if (offset === 4) this.isApplication() ? this.loop.kicked(this.now) : this.loop.stalled(); if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
         fault('a watchdog reset would not reset everything but the oscillators: PSM_WDSEL');
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
-    if (key === 0x4001c) this.padWritten((offset - 4) >> 2);
+    if (key === 0x4001c) padWritten(this, (offset - 4) >> 2);
   }
 
-  padWritten(pin) {
-    const { padValue } = this.chip.gpio[pin];
-    checkVbusPad(this.adc.kind, pin, padValue);
-    this.adc.padWritten(pin, padValue, this.now);
-    pull(this, pin);
-  }
+  // Or the loader, which runs from flash and from the last of the RAM.
+  isApplication() { return this.chip.core.registers[15] >>> 0 >= RAM && this.chip.core.registers[15] >>> 0 < LOADER_RAM; }
 
   setResets(value) {
     const fell = value & ~this.inReset;
@@ -316,8 +314,7 @@ export class Machine {
 
   rawInputs() {
     let raw = 0;
-    for (const pin of INPUT_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
-    for (const pin of OUTPUT_PINS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) raw |= 1 << pin;
+    for (const pin of USED_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
     return raw;
   }
 
@@ -440,7 +437,11 @@ export class Machine {
         this.waits = 0;
         if (core.PC === this.stoppedAt + 2) this.stoppedAt = undefined; // an interrupt may have come first
         this.usedInstructions++;
-        if (this.now + cycles < this.nextDue) this.now += cycles;
+        if (core.PC === pc && !core.interruptsUpdated && !this.trap) { // a branch to itself: so on until something else happens
+          const next = Math.min(this.alarmTick, until, uart.next, host.next, this.inputs.length ? this.inputs[0][0] : Infinity);
+          this.advance(Math.max(next, this.now + cycles));
+          this.findDue();
+        } else if (this.now + cycles < this.nextDue) this.now += cycles;
         else {
           this.advance(this.now + cycles);
           this.findDue();

@@ -3,7 +3,15 @@
 import math
 from dataclasses import dataclass
 
+from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, TICKS_PER_US
 from annulus.vocabulary import AnnulusError
+
+TRIGGER_EXTRA_US = {  # a camera exposes so much longer than its trigger lasts
+    "none": 0.0,  # the camera runs by itself
+    "xtrig": 14.26,  # Raspberry Pi's Global Shutter camera: its documentation, External Trigger on the GS Camera
+    "pulse": 0.0,  # an industrial camera that exposes as long as its trigger input is active
+}
+TRIGGER_MIN_US = CAMERA_TRIGGER_MIN_TICKS / TICKS_PER_US
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +52,25 @@ class FrameTiming:
     def closes_us(self) -> float:
         """The first row closes: 1/fps - T_ro."""
         return self.period_us - self.readout_us
+
+    def triggered(self, extra_us: float) -> "FrameTiming":
+        """Of a global shutter that the controller opens for as long as its trigger lasts, as a flash must fit it: the
+        end of the trigger is the edge, before which the shutter was open all that time. extra_us : that it stays open
+        afterwards, which nothing counts on.
+
+        Raises AnnulusError when the trigger would have no length, or sensor and period no time to read the frame out.
+        """
+        if self.exposure_us - extra_us < TRIGGER_MIN_US:
+            raise AnnulusError(
+                f"exposure {self.exposure_us:g} us: the camera adds {extra_us:g} us to its trigger, and that lasts"
+                f" {TRIGGER_MIN_US:g} us or more"
+            )
+        if self.exposure_us + self.readout_us > self.period_us:
+            raise AnnulusError(
+                f"exposure {self.exposure_us:g} us and readout {self.readout_us:g} us one after the other do not fit"
+                f" {self.period_us:g} us ({self.fps:g} fps), as a camera that is triggered needs them to"
+            )
+        return FrameTiming(self.fps, self.exposure_us - extra_us, 0.0)
 
     def __str__(self) -> str:
         return f"{self.fps:g} fps, exposure {self.exposure_us / 1e3:g} ms, readout {self.readout_us / 1e3:g} ms"

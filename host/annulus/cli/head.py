@@ -38,11 +38,16 @@ def configure(
     led_delay_us: Annotated[float, typer.Option(help="Falling edge to LED on, us.")],
     led_width_us: Annotated[float, typer.Option(help="LED on to off, us; 0 keeps it dark.")],
     ratio: Annotated[int, typer.Option(min=0, max=15, help="Projector frames to each LED frame.")] = 4,
+    inverted: Annotated[
+        str | None,
+        typer.Option(help="Pins whose wiring wants the other level, as sync,led; none: no pin; absent: as in force."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
     from annulus.capture.timing import FrameTiming
     from annulus.link import operate
+    from annulus.link.pins import pins_of
     from annulus.link.stage import stage_from_us
 
     mode = FrameTiming(fps, exposure_us, readout_us)
@@ -56,7 +61,8 @@ def configure(
         ratio=ratio, period_us=mode.period_us, exposure_us=exposure_us, readout_us=readout_us,
         projector_us=(projector_delay_us, projector_width_us), led_us=(led_delay_us, led_width_us),
     )  # fmt: skip
-    print_fields(operate.configure(port, stage), as_json)
+    pins = None if inverted is None else pins_of(inverted)
+    print_fields(operate.configure(port, stage, pins), as_json)
 
 
 @app.command("arm", epilog="Example: annulus head arm --port /dev/ttyACM0 --hold 10")

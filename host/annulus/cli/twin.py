@@ -11,6 +11,8 @@ from annulus.cli.show import Json, group, print_fields, progress
 
 app = group("The simulated head.")
 
+Inverted = Annotated[str, typer.Option(help="Pins whose wiring wants the other level, as sync,projector,led.")]
+Trigger = Annotated[str, typer.Option(help="What the camera takes: none, xtrig (Global Shutter camera), pulse.")]
 Board = Annotated[
     str, typer.Option(help="native: the core in this process; emulated: the shipped image on an emulated RP2040.")
 ]
@@ -37,11 +39,17 @@ def run(
         float | None,
         typer.Option(min=5.0, max=100.0, help="Pipe in the ground, so long, with sewers; the head has sectors."),
     ] = None,
+    inverted: Inverted = "none",
+    trigger: Trigger = "none",
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
+    from annulus.link.pins import pins_of
     from annulus.twin.head import run_head
 
-    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m)
+    run_head(
+        fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m,
+        pins=pins_of(inverted), trigger=trigger,
+    )  # fmt: skip
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")
@@ -81,9 +89,12 @@ def soak(
     ] = False,
     jobs: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one a core.")] = 0,
     board: Board = "native",
+    inverted: Inverted = "none",
+    trigger: Trigger = "none",
     as_json: Json = False,
 ) -> None:
     """Labels and places under faults in virtual time: real firmware, link and labelling, scored against truth."""
+    from annulus.link.pins import pins_of
     from annulus.twin.soak import soak
 
     if witnesses:
@@ -91,7 +102,15 @@ def soak(
         return
     with progress() as report:
         result = soak(
-            frames, seed, faults=faults, without=without or (), board=board, jobs=jobs or None, progress=report
+            frames,
+            seed,
+            faults=faults,
+            without=without or (),
+            board=board,
+            jobs=jobs or None,
+            progress=report,
+            pins=pins_of(inverted),
+            trigger=trigger,
         )
     if as_json:
         print(json.dumps(result))

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from annulus.capture.timing import FrameTiming
+from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
 
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
 CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
+Trigger = Literal["none", "xtrig", "pulse"]
 FILES = ("video", "folder")  # cameras that end, and do not come back
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 
@@ -20,5 +21,11 @@ class CameraConfig:
     format: str = "YU12"  # the fourcc that a V4L2 device is asked for; of Picamera2 "raw" or a format of its "main"
     gain: float = 1.0
     timing: FrameTiming = USUAL_TIMING
+    trigger: Trigger = "none"
     colour_gains: tuple[float, float] | None = None  # red and blue over green, Picamera2's ColourGains
     sensor_crop: tuple[int, int, int, int] | None = None  # the calibration's: what the mode must show of the sensor
+
+    @property
+    def flash_timing(self) -> FrameTiming:
+        """What a flash must fit. Raises AnnulusError when a camera that is triggered has no time for its frames."""
+        return self.timing if self.trigger == "none" else self.timing.triggered(TRIGGER_EXTRA_US[self.trigger])

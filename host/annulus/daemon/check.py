@@ -19,12 +19,16 @@ from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.cameras import apply_controls, open_camera
 from annulus.daemon.config import HeadConfig, SocketConfig, load_config
 from annulus.daemon.control import CARRIED_MAX
+from annulus.daemon.controller_line import pins_for
 from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
 from annulus.daemon.priority import autogroup_remark, raise_priority
 from annulus.daemon.samples import open_sensors
 from annulus.link import operate
 from annulus.link.client import Client
-from annulus.link.messages import InterlockFlag
+from annulus.link.hardware import interlock_line, use_both_inputs
+from annulus.link.messages import InterlockFlag, Polarity
+from annulus.link.pins import pins_text
+from annulus.link.problems import too_old
 from annulus.stream.access import Doorkeeper
 from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
@@ -66,6 +70,8 @@ def check_head(path: Path) -> list[Finding]:
         lambda: _controller(config.port or "", config.interlock_antivalent),
         "" if config.port else "none: frames have no labels",
     )
+    if config.port and config.inverted:
+        look("wiring", lambda: _wiring(config))
     found += _cameras(config)
     look("sensors", lambda: _sensors(config), "" if config.sensors else "none")
     look("recording", lambda: _recording(config), "" if config.record_folder else "none: nothing is recorded")
@@ -86,14 +92,25 @@ def _calibration(config: HeadConfig) -> str:
 def _controller(port: str, antivalent: bool) -> str:
     with Client(port):  # one that may be armed, not only asked
         pass
-    inputs = operate.use_both_inputs(port) if antivalent else InterlockFlag(0)
+    inputs = use_both_inputs(port) if antivalent else InterlockFlag(0)
     if (InterlockFlag.OPEN in inputs) != (InterlockFlag.ANTIVALENT_OPEN in inputs) and antivalent:
-        raise AnnulusError(f"{port}: the interlock {operate.interlock_line(inputs)}. Expected both alike.")
+        raise AnnulusError(f"{port}: the interlock {interlock_line(inputs)}. Expected both alike.")
     status = operate.status(port)
     armed = str(status["state"])
     if "armed" in armed or status["fault"] != "none":
         raise AnnulusError(f"{port}: state is {armed}, fault {status['fault']}, expected a controller at rest")
     return f"{port}: {status['board']}, firmware {status['version'] or status['firmware']}, {armed or 'at rest'}"
+
+
+def _wiring(config: HeadConfig) -> str:
+    """What is inverted, and whether this controller can."""
+    pins, port = pins_for(config), config.port or ""
+    with Client(port) as client:
+        if not client.session.knows(Polarity):
+            raise AnnulusError(f"{port}: {too_old(Polarity)}")
+    resistors = ", ".join(f"GP{pin}" for pin, _ in pins.pulled_up)
+    need = f"; 4.7 kohm to 3.3 V at {resistors} keeps them dark through a reset" if resistors else ""
+    return f"inverted: {pins_text(pins.inverted)}{need}"
 
 
 def _cameras(config: HeadConfig) -> list[Finding]:

@@ -9,6 +9,7 @@ from typing import Any, cast
 from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
+from annulus.daemon.wiring import check_triggers, inverted_pins, trigger_of
 from annulus.geometry.calibration import Calibration
 from annulus.job import WORDS, JobSheet, provenance
 from annulus.record.calibration_file import load_calibration, load_part, load_sections
@@ -114,6 +115,7 @@ class HeadConfig:
     cameras: tuple[CameraConfig, ...] = (CameraConfig(),)  # on one sync line; a frame's `camera` counts in this order
     lamps: LampConfig = LampConfig()
     port: str | None = None  # None: labels come with the frames (scan folder) or are unknown
+    inverted: tuple[str, ...] = ()  # pins of the controller whose wiring wants the other level, of link.pins.INVERTIBLE
     mm_per_count: float = 0.05
     max_speed_mm_s: float = MAX_SPEED_MM_S  # of the winch: what was not counted is bounded by it
     calibration: Calibration | None = None  # None: no live reconstruction
@@ -138,7 +140,7 @@ class HeadConfig:
     @property
     def timing(self) -> FrameTiming:
         """All cameras' together: what a flash must fit so that every row of every camera sees all of it."""
-        modes = [camera.timing for camera in self.cameras]
+        modes = [camera.flash_timing for camera in self.cameras]
         return FrameTiming(
             modes[0].fps, min(mode.exposure_us for mode in modes), max(mode.readout_us for mode in modes)
         )
@@ -152,6 +154,7 @@ class HeadConfig:
             "record": asdict(self.record),
             "port": self.port,
             "interlock_antivalent": self.interlock_antivalent,
+            "inverted": list(self.inverted),
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
             "job": self.job.to_dict(),
@@ -165,7 +168,7 @@ class HeadConfig:
 
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
-    "controller": ("port",),
+    "controller": ("port", "inverted"),
     "interlock": ("antivalent",),
     "camera": (
         "kind",
@@ -177,6 +180,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "fps",
         "exposure_us",
         "readout_us",
+        "trigger",
         "colour_gains",
     ),
     "lamps": tuple(field.name for field in fields(LampConfig)),
@@ -225,6 +229,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         raise ValueError(f"{len(cameras)} [[camera]] sections, expected at most {CAMERAS_MAX}")
     if len({camera.timing.fps for camera in cameras}) > 1:
         raise ValueError("[camera] fps differs from camera to camera, but they share one frame-sync")
+    check_triggers(cameras)
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
     paint = _optional(data, "calibration", "colour")
     workers, control = data.get("workers", {}), data.get("control", {})
@@ -232,6 +237,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         cameras=cameras,
         lamps=_lamps(data.get("lamps", {})),
         port=_optional(data, "controller", "port"),
+        inverted=inverted_pins(data.get("controller", {})),
         mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
         max_speed_mm_s=_number(data.get("odometer", {}), "odometer", "max_speed_mm_s", MAX_SPEED_MM_S, 1.0, 1e5),
         calibration=None if calibration_file is None else load_calibration(folder / calibration_file),
@@ -299,6 +305,7 @@ def _camera(content: Mapping[str, Any]) -> CameraConfig:
             _number(content, "camera", "exposure_us", usual.timing.exposure_us, 1.0, 1e6),
             _number(content, "camera", "readout_us", usual.timing.readout_us, 0.0, 1e6),
         ),
+        trigger_of(content),
         _gains(content),
     )
 

@@ -10,7 +10,7 @@ from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.request import LAMP_KEYS
-from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged
+from annulus.link.head import HeadControl, HeadEvent, PhaseChanged
 from annulus.link.messages import (
     Fault,
     Interlock,
@@ -23,6 +23,8 @@ from annulus.link.messages import (
     TurntableStopped,
 )
 from annulus.link.operate import why_it_stopped
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins, pins_named
 from annulus.link.port import Opening, Port
 from annulus.link.preamble import preamble_of
 from annulus.link.problems import too_old
@@ -37,6 +39,7 @@ REOPEN_S = 1.0
 DISARM_S = 0.5
 CONFIGURE_S = 1.0
 TOLERANCE_PERMILLE = 100  # of the frame period, in which an edge is taken for one
+TRIGGERED_PERMILLE = 5  # where the controller makes the edges itself: the exposure lies before them, and so do flashes
 CONFIRMED = (Phase.IDLE, Phase.STOPPED)  # that it is dark
 DARK = (*CONFIRMED, Phase.REFUSED, Phase.MISMATCH)
 TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
@@ -52,11 +55,12 @@ class ControllerLine:
         account: Account,
         observer: Observer,
         preamble: Preamble | None = None,
+        pins: Pins = AS_WIRED,
         interlock: Interlock | None = None,
     ) -> None:
         """Raises AnnulusError when the port cannot be opened."""
         self.url, self._account, self._observer = url, account, observer
-        self.head = HeadControl(stage, armed=False, preamble=preamble, interlock=interlock)
+        self.head = HeadControl(stage, armed=False, preamble=preamble, pins=pins, interlock=interlock)
         self._port: Port | None = Port(url)
         self._opening: Opening | None = None
         self._reopen_s = 0.0
@@ -250,20 +254,24 @@ def check_lamps(config: HeadConfig, *, window: bool) -> None:
     lamps, timing = config.lamps, config.timing
     if window:
         lamps.check(timing)
-    longest = min(LAMP_WIDTH_MAX_TICKS / TICKS_PER_US, LAMP_DUTY_MAX_PERMILLE / 1e3 * _shortest_us(timing.period_us))
+    longest = min(LAMP_WIDTH_MAX_TICKS / TICKS_PER_US, LAMP_DUTY_MAX_PERMILLE / 1e3 * _shortest_us(config))
     for lamp, delay, width in (
         ("projector flash", lamps.projector_delay_us, lamps.projector_width_us),
         ("LED flash", lamps.led_delay_us, lamps.led_width_us),
     ):
         if width > longest:
             raise AnnulusError(f"{lamp} of {width:g} us: the controller fires no longer than {longest:g} us")
-        if delay + width > _shortest_us(timing.period_us):
+        if delay + width > _shortest_us(config):
             raise AnnulusError(f"{lamp} {delay:g}..{delay + width:g} us reaches into the next frame")
 
 
-def _shortest_us(period_us: float) -> float:
+def tolerance_permille(config: HeadConfig) -> int:
+    return TOLERANCE_PERMILLE if config.cameras[0].trigger == "none" else TRIGGERED_PERMILLE
+
+
+def _shortest_us(config: HeadConfig) -> float:
     """From one edge to the next that the controller takes for one."""
-    return period_us * (1 - TOLERANCE_PERMILLE / 1000)
+    return config.timing.period_us * (1 - tolerance_permille(config) / 1000)
 
 
 def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
@@ -276,7 +284,7 @@ def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
         ratio=lamps.ratio, period_us=timing.period_us,
         exposure_us=timing.exposure_us if window else timing.period_us, readout_us=timing.readout_us if window else 0.0,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
-        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=TOLERANCE_PERMILLE,
+        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=tolerance_permille(config),
     )  # fmt: skip
     return replace(stage, host_timeout=lamps.host_timeout_ms)
 
@@ -292,6 +300,14 @@ def preamble_for(config: HeadConfig) -> Preamble | None:
 def interlock_for(config: HeadConfig) -> Interlock | None:
     """The interlock's inputs that head.toml names."""
     return Interlock(InterlockFlag.ANTIVALENT) if config.interlock_antivalent else None
+
+
+def pins_for(config: HeadConfig) -> Pins:
+    """What head.toml says of the wiring."""
+    pins, trigger = Pins(pins_named(config.inverted)), config.cameras[0].trigger
+    if trigger == "none":
+        return pins
+    return pins.triggering(trigger, round(config.timing.exposure_us * TICKS_PER_US))
 
 
 def line_numbers(line: ControllerLine | None) -> dict[str, object]:

@@ -23,7 +23,7 @@ from annulus.daemon.pools import Recorder, RecordingSetup
 from annulus.daemon.power import Power
 from annulus.labelling.labelling import Labelling
 from annulus.labelling.navigation import Navigation
-from annulus.link.head import Phase
+from annulus.link.phase import Phase
 from annulus.record.rotation import Bounds
 from annulus.stream.frames import FrameHeader
 

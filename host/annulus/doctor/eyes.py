@@ -36,7 +36,19 @@ def cameras(root: Path = Path("/"), theirs: Callable[[], Any] = picamera2) -> li
         name, mode = sensor.parts[-3], text_of(sensor).strip()
         leads = "its XVS pad puts the frame sync out" if mode == "1" else "it does not lead; see the manual"
         found.append(Finding("frame sync", mode == "1", f"{name}: trigger_mode {mode} in {sensor}: {leads}"))
+    for node in sorted((root / "proc/device-tree").glob("soc*/csi*/sync-gpios")):
+        found.append(Finding("frame sync", True, _receiver_sync(node)))
     return found
+
+
+def _receiver_sync(node: Path) -> str:
+    """Of a Pi's CSI receiver that says on a pin when a frame begins and ends: cells of phandle, GPIO, flags."""
+    cells = node.read_bytes()
+    pin = f"GPIO {int.from_bytes(cells[4:8], 'big')}" if len(cells) >= 12 else "a GPIO"
+    return (
+        f"{pin} of this computer follows the receiver {node.parent.name}, high from a frame's start to its end; set in"
+        " an interrupt, so some tens of us late: leave the flash 0.5 ms before the window closes"
+    )
 
 
 def _picamera(kind: Any, number: int, about: dict[str, Any]) -> Finding:

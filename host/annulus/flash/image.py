@@ -11,7 +11,7 @@ last word) and §2.8.4.2 (which UF2 blocks the boot ROM takes).
 import re
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annulus.controller import UPDATE_MAX_BYTES
@@ -25,8 +25,8 @@ FLASH_BYTES = 2 * 1024 * 1024  # of a Raspberry Pi Pico
 FILE_MAX = 64 << 20  # bytes; a UF2 of the whole flash has 4 MiB, an ELF carries what debuggers want beside it
 PAGE_BYTES, SECTOR_BYTES = 256, 4096
 BOOT2_BYTES = 256
-APPLICATION_AT, APPLICATION_SIZE_AT = 0x1000, 192  # in flash; in the application
-RECORD_AT = 0xF000  # in flash: of an application that waits to be copied
+APPLICATION_AT, APPLICATION_SIZE_AT = 0x1000, 192  # in flash, its first slot; in the application
+RECORDS_AT, RECORDS_END = 0x11000, 0x13000  # in flash: which slot starts; blank, so that it is the first
 RAM_START, RAM_END = 0x20000000, 0x20042000
 
 _BLOCK_BYTES = 512
@@ -62,7 +62,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """Flash contents from FLASH_START on, whole pages; gaps are zero, as uf2.py fills them."""
+    """Flash contents from FLASH_START on, whole pages; gaps are as erased, as uf2.py fills them."""
 
     name: str
     data: bytes
@@ -104,6 +104,8 @@ def parse_image(content: bytes, name: str) -> Image:
     data = _flash(pages, name)
     _require_bootable(data, name)
     image = Image(name, data, _identity(data))
+    if has_application(image):  # a debugger's ELF leaves the records out
+        image = replace(image, data=data.ljust(RECORDS_END, b"\xff"))
     holes = len(data) // PAGE_BYTES - len(pages)
     if holes and image.identity is not None and content[:4] != b"\x7fELF":  # what a linker leaves out, uf2.py fills in
         raise AnnulusError(f"{name}: damaged, {holes} pages between others are missing: a block has another's address")
@@ -206,7 +208,7 @@ def _elf_pages(content: bytes, name: str) -> dict[int, bytes]:
         if physical < FLASH_START or physical + in_file > FLASH_START + FLASH_BYTES:
             raise AnnulusError(f"{name}: loads {in_file} bytes to {physical:08x}, expected flash")
         for i in range(in_file):
-            page = pages.setdefault((physical + i) & ~(PAGE_BYTES - 1), bytearray(PAGE_BYTES))
+            page = pages.setdefault((physical + i) & ~(PAGE_BYTES - 1), bytearray(b"\xff" * PAGE_BYTES))
             page[(physical + i) % PAGE_BYTES] = content[offset + i]
     return {address: bytes(page) for address, page in pages.items()}
 
@@ -222,7 +224,7 @@ def _flash(pages: dict[int, bytes], name: str) -> bytes:
         )
     if first != FLASH_START:
         raise AnnulusError(f"{name}: begins at {first:08x}, expected the second stage at {FLASH_START:08x}")
-    empty = bytes(PAGE_BYTES)
+    empty = b"\xff" * PAGE_BYTES
     return b"".join(pages.get(address, empty) for address in range(first, last + PAGE_BYTES, PAGE_BYTES))
 
 

@@ -23,8 +23,6 @@ from annulus.flash.image import (
     FAMILY_RP2040,
     FLASH_START,
     PAGE_BYTES,
-    RECORD_AT,
-    SECTOR_BYTES,
     Image,
     application,
     has_application,
@@ -34,6 +32,7 @@ from annulus.flash.over_line import write_over_line
 from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt
+from annulus.link.hardware import carrier_line
 from annulus.link.messages import (
     BOOTLOADER_MAGIC,
     BOOTLOADER_NEEDS_USB,
@@ -47,7 +46,6 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
-from annulus.link.operate import carrier_line
 from annulus.link.problems import refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, EventsLost, LinkEvent, Rebooted
 from annulus.vocabulary import AnnulusError
@@ -194,8 +192,6 @@ def flash(
         say(f"USB {loader}: RP2040 boot loader")
         with PicoBoot(loader) as boot:
             write_flash(boot, image.data, progress)
-            if has_application(image):  # an update that waits to be copied is older than this one
-                boot.erase(FLASH_START + RECORD_AT, SECTOR_BYTES)
             boot.reboot()
         how, where = "picoboot", loader.place
     return _flashed(image, how, where, None if port is None else await_firmware(port, image))
@@ -288,7 +284,10 @@ def await_firmware(port: str, image: Image) -> str:
     assert who is not None
     found = _text(who.git)
     if image.identity is not None and found != image.identity.git[: len(who.git)]:
-        raise AnnulusError(f"{port}: firmware {found} answers, expected {image.identity.git}. Is it another board?")
+        raise AnnulusError(
+            f"{port}: firmware {found} answers, expected {image.identity.git}. Is it another board, or did it go back"
+            " to the image before? `annulus head status` says so."
+        )
     return found
 
 

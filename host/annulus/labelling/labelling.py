@@ -188,7 +188,8 @@ class Labelling:
         place = self._navigation.odometer.place(flash)
         known = FrameHeader(
             self._index((flash.epoch, flash.edge)), frame.sequence, frame.timestamp_ns, said.label, "",
-            flash.edge, None if EdgeFlag.PREAMBLE in flash.flags else flash.slot, flash.odometer,
+            flash.edge, None if EdgeFlag.PREAMBLE in flash.flags else flash.slot,
+            None if EdgeFlag.ODOMETER_FROZEN in flash.flags else flash.odometer,
             place.z_mm if place is not None else None, mode.encoding, mode.width, mode.height, camera=mode.camera,
             arrived_ns=frame.arrived_ns, roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
             z_assumed=place.assumed if place is not None else False,

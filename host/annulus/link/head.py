@@ -12,7 +12,6 @@ after a reset or a fault. The daemon drives it through a port, the soak in virtu
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 from annulus.controller import TICK_NS
 from annulus.link.boots import BootWatch
@@ -20,6 +19,7 @@ from annulus.link.clock import ClockMap
 from annulus.link.messages import (
     Arm,
     ArmFlag,
+    CameraTrigger,
     Clear,
     Command,
     Commit,
@@ -27,20 +27,25 @@ from annulus.link.messages import (
     ConfigurationReply,
     Edge,
     Fault,
-    FaultCode,
     IdentifyReply,
     Interlock,
     Ping,
     PingReply,
+    Polarity,
     Preamble,
     Stage,
     StateFlag,
     Status,
     StatusCode,
     StatusReply,
+    Wiring,
+    WiringReply,
 )
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.link.preamble import PreambleOrders
 from annulus.link.problems import (
+    LATCHING,
     STOPPED,
     TAKEN_OVER,
     configuration_problem,
@@ -59,32 +64,15 @@ RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
 PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
-LATCHING = (
-    FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT, FaultCode.INTERLOCK_DISAGREES,
-)  # fmt: skip
+ADDED = (
+    Configuration,
+    Preamble,
+    Polarity,
+    CameraTrigger,
+    Wiring,
+    Interlock,
+)  # which a controller of level 1 does not have
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
-
-
-class Phase(StrEnum):
-    """How far the controller is. REFUSED and MISMATCH last until the configuration or the firmware changes, STOPPED
-    until `arm`.
-    """
-
-    SEARCHING = "searching"
-    LOOKING = "looking"  # are the lamps still as we left them?
-    DISARMING = "disarming"
-    WIRING = "wiring"  # says which inputs the interlock has
-    STAGING = "staging"
-    COMMITTING = "committing"
-    VERIFYING = "verifying"  # reads back what is in force
-    PREPARING = "preparing"  # says how optical preambles are to be
-    CLEARING = "clearing"
-    ARMING = "arming"
-    RUNNING = "running"  # armed, as asked
-    IDLE = "idle"  # configured, or nothing to configure; dark, as asked
-    STOPPED = "stopped"  # by somebody else; dark, and kept so
-    REFUSED = "refused"
-    MISMATCH = "mismatch"
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +125,12 @@ class HeadControl:
         *,
         armed: bool = True,
         preamble: Preamble | None = None,
+        pins: Pins = AS_WIRED,
         interlock: Interlock | None = None,
     ) -> None:
         """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
-        the controller has them. `interlock`: its inputs, without which nothing is armed; None leaves them as they are.
+        the controller has them. `pins`: what the wiring wants of them; a controller that knows nothing of that is not
+        armed if it is anything. `interlock`: its inputs, likewise; None leaves them as they are.
         """
         self.session = Session()
         self.clock = ClockMap()
@@ -153,6 +143,7 @@ class HeadControl:
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
         self._interlock = interlock
+        self._pins = pins
         self._armed = armed
         self.preambles = PreambleOrders(preamble, configuration.frame_period if configuration else PERIOD_TICKS)
         self._lit = False  # armed, by all we know
@@ -168,8 +159,6 @@ class HeadControl:
         self._cleared = False  # a fault was cleared and the lamps have not been armed since
         self._step_sent_ns = 0
         self._news: list[HeadEvent] = []
-
-    # ---- what is wanted ----
 
     def configure(self, configuration: Stage | None) -> None:
         """Another configuration, put in force as soon as the controller lets it (dark in between)."""
@@ -241,8 +230,6 @@ class HeadControl:
                 self.preambles.sent(self.session.send(order), now)
         return self.session.pending(now)
 
-    # ---- steps ----
-
     def _step(self) -> Command | None:
         """The command that the present phase waits for."""
         match self.phase:
@@ -252,14 +239,20 @@ class HeadControl:
                 return Status()
             case Phase.DISARMING:
                 return Arm(ArmFlag(0))
-            case Phase.WIRING:
+            case Phase.GUARDING:
                 return self._interlock
             case Phase.STAGING if self._configuration is not None:
                 return replace(self._configuration, generation=self._generation)
+            case Phase.WIRING:
+                return self._pins.polarity(self._generation)
+            case Phase.TRIGGERING:
+                return self._pins.trigger(self._generation)
             case Phase.COMMITTING:
                 return Commit(self._generation)
             case Phase.VERIFYING:
                 return Configuration()
+            case Phase.CONFIRMING:
+                return Wiring()
             case Phase.PREPARING:
                 return self.preambles.wanted
             case Phase.CLEARING:
@@ -272,17 +265,24 @@ class HeadControl:
         """What is in force is read back, and preambles are ordered, where the controller can; that one is known once
         `info` is settled.
         """
-        if not isinstance(step, Configuration | Preamble | Interlock) or self.session.knows(type(step)):
+        if not isinstance(step, ADDED) or self.session.knows(type(step)):
             return True
-        if self.session.informed and isinstance(step, Interlock):
-            self._enter(Phase.REFUSED, too_old(Interlock))  # never armed with an input that nobody looks at
+        wired = isinstance(step, Polarity) and self._pins != AS_WIRED
+        if self.session.informed and (wired or isinstance(step, Interlock)):  # an input that nobody would look at
+            self._enter(Phase.REFUSED, too_old(type(step)))
         elif self.session.informed:
             self._go_on_from(self.phase)
         return False
 
     def _go_on_from(self, phase: Phase) -> None:
         """With what is in force: preambles, then the lamps."""
-        if phase is Phase.VERIFYING and self.preambles.wanted is not None:
+        if phase is Phase.WIRING:
+            self._enter(Phase.TRIGGERING)
+        elif phase is Phase.TRIGGERING:
+            self._enter(Phase.COMMITTING)
+        elif phase is Phase.VERIFYING and self.session.knows(Wiring):
+            self._enter(Phase.CONFIRMING)
+        elif phase in (Phase.VERIFYING, Phase.CONFIRMING) and self.preambles.wanted is not None:
             self._enter(Phase.PREPARING)
         else:
             self._enter(Phase.ARMING if self._armed else Phase.IDLE)
@@ -316,19 +316,23 @@ class HeadControl:
                 self._cleared = self._contradicted = self._fresh = False
                 self._enter(Phase.RUNNING)
             case Arm() if self._interlock is not None:
-                self._enter(Phase.WIRING)
+                self._enter(Phase.GUARDING)
             case Arm() | Interlock() if self._configuration is None:
                 self._enter(Phase.IDLE)
             case Arm() | Interlock():
                 self._generation = self._generation % 255 + 1
                 self._enter(Phase.STAGING)
             case Stage():
-                self._enter(Phase.COMMITTING)
+                self._enter(Phase.WIRING)
+            case Polarity() | CameraTrigger():
+                self._go_on_from(self.phase)
             case Commit():
                 self._committed = True
                 self._enter(Phase.VERIFYING)
             case Configuration() if isinstance(answer.reply, ConfigurationReply):
                 self._verified(answer.reply)
+            case Wiring() if isinstance(answer.reply, WiringReply):
+                self._settle(self._pins.problem(answer.reply, self._generation))
             case Preamble():
                 self._go_on_from(Phase.PREPARING)
             case Status() if isinstance(answer.reply, StatusReply):
@@ -359,12 +363,15 @@ class HeadControl:
 
     def _verified(self, reply: ConfigurationReply) -> None:
         asked = replace(self._configuration, generation=self._generation) if self._configuration is not None else None
-        problem = configuration_problem(reply, asked) if asked is not None else ""
+        self._settle(configuration_problem(reply, asked) if asked is not None else "")
+
+    def _settle(self, problem: str) -> None:
+        """What is in force was read back: is it what was asked for?"""
         if problem:
             self._committed = False
             self._enter(Phase.REFUSED, problem)
         else:
-            self._go_on_from(Phase.VERIFYING)
+            self._go_on_from(self.phase)
 
     def _refused(self, answer: Answer, now: int) -> None:
         status = answer.reply.status
@@ -387,8 +394,6 @@ class HeadControl:
         self._armed = self._lit = self._contradicted = False
         self.preambles.forget()
         self._restart_steps(Phase.STOPPED, why)
-
-    # ---- news ----
 
     def _news_of(self, happening: LinkEvent, now: int) -> None:
         if isinstance(happening, Rebooted):

@@ -74,6 +74,7 @@ class CrashKind(IntEnum):
     NONE = 0
     HARD_FAULT = 1
     STUCK = 2
+    DAMAGED = 3
 
 
 class RoundPart(IntEnum):
@@ -108,6 +109,18 @@ class UpdateRefusal(IntEnum):
     FOREIGN = 3
 
 
+class ImageWhy(IntEnum):
+    RECORDED = 0
+    GIVEN_UP = 1
+    DAMAGED = 2
+
+
+class ImageFlash(IntEnum):
+    UNCHECKED = 0
+    WHOLE = 1
+    DAMAGED = 2
+
+
 class StateFlag(IntFlag):
     SYNCED = 1
     LAMPS_ARMED = 2
@@ -130,6 +143,15 @@ class InterlockFlag(IntFlag):
     ANTIVALENT = 1
     OPEN = 2
     ANTIVALENT_OPEN = 4
+
+
+class PolarityFlag(IntFlag):
+    SYNC = 1
+    PROJECTOR = 2
+    LED = 4
+    MICROWAVE = 8
+    TRIGGER = 16
+    CAMERA_TRIGGER = 32
 
 
 class ArmFlag(IntFlag):
@@ -1093,6 +1115,93 @@ class PreambleReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class PolarityReply(Reply):
+    """Answer to polarity."""
+
+    ID: ClassVar[int] = 0x5A
+    SCHEMA_BYTE: ClassVar[int] = 0xB9
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBB")
+    LENGTH: ClassVar[int] = 4
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "inverted")
+
+    generation: int  # of the configuration that is staged; 0 = none
+    inverted: PolarityFlag  # that would be in force with its commit
+
+    def pack(self) -> bytes:
+        return _pack("polarity", self.LAYOUT, self.status, self.detail, self.generation, self.inverted)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTriggerReply(Reply):
+    """Answer to camera_trigger."""
+
+    ID: ClassVar[int] = 0x5B
+    SCHEMA_BYTE: ClassVar[int] = 0x99
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBI")
+    LENGTH: ClassVar[int] = 7
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "width")
+
+    generation: int  # of the configuration that is staged; 0 = none
+    width: int  # ticks; that would be in force with its commit
+
+    def pack(self) -> bytes:
+        return _pack("camera_trigger", self.LAYOUT, self.status, self.detail, self.generation, self.width)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3])
+
+
+@dataclass(frozen=True, slots=True)
+class WiringReply(Reply):
+    """Answer to wiring."""
+
+    ID: ClassVar[int] = 0x5C
+    SCHEMA_BYTE: ClassVar[int] = 0x70
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBI")
+    LENGTH: ClassVar[int] = 9
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "generation",
+        "inverted",
+        "driven",
+        "camera_trigger",
+    )
+
+    generation: int  # of the configuration in force; 0 = none
+    inverted: PolarityFlag
+    driven: PolarityFlag  # outputs that are driven: see protocol/README.md
+    camera_trigger: int  # ticks; how long each lasts; 0 = none
+
+    def pack(self) -> bytes:
+        return _pack(
+            "wiring",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.generation,
+            self.inverted,
+            self.driven,
+            self.camera_trigger,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]), v[5])
+
+
+@dataclass(frozen=True, slots=True)
 class InterlockReply(Reply):
     """Answer to interlock."""
 
@@ -1136,6 +1245,42 @@ class HardwareReply(Reply):
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
         return cls(StatusCode(v[0]), v[1], BoardKind(v[2]), Presence(v[3]), InterlockFlag(v[4]))
+
+
+@dataclass(frozen=True, slots=True)
+class ImageReply(Reply):
+    """Answer to image."""
+
+    ID: ClassVar[int] = 0x5F
+    SCHEMA_BYTE: ClassVar[int] = 0x4F
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBBI")
+    LENGTH: ClassVar[int] = 10
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "slot", "starts", "why", "flash", "crc")
+
+    slot: int  # of flash, 0 or 1
+    starts: int  # on trial: starts so far, this one included; 0: confirmed
+    why: ImageWhy
+    flash: ImageFlash  # its copy there, looked at again and again
+    crc: int  # of the application that runs, as in its last word
+
+    def pack(self) -> bytes:
+        return _pack(
+            "image",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.slot,
+            self.starts,
+            self.why,
+            self.flash,
+            self.crc,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], ImageWhy(v[4]), ImageFlash(v[5]), v[6])
 
 
 @dataclass(frozen=True, slots=True)
@@ -1668,7 +1813,7 @@ class UpdateBegin(Command):
     """
 
     ID: ClassVar[int] = 0x14
-    SCHEMA_BYTE: ClassVar[int] = 0xB4
+    SCHEMA_BYTE: ClassVar[int] = 0xC9
     SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<II8s")
     LENGTH: ClassVar[int] = 16
@@ -1691,8 +1836,8 @@ class UpdateBegin(Command):
 
 @dataclass(frozen=True, slots=True)
 class UpdateData(Command):
-    """One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as
-    long as the flash needs to erase.
+    """One chunk of it. Chunks come in order; one that is there already changes nothing. It is carried out once the flash
+    has erased and written what came before: after the first of every 4 KiB that may take 0.4 s.
     """
 
     ID: ClassVar[int] = 0x15
@@ -1741,8 +1886,8 @@ class UpdateEnd(Command):
 @dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
-    levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
-    `measure` is refused while anything is armed; `looks` 0 ends it.
+    levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile, and edges say
+    so (odometer_frozen). The first `measure` is refused while anything is armed; `looks` 0 ends it.
     """
 
     ID: ClassVar[int] = 0x17
@@ -1826,6 +1971,84 @@ class Preamble(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Polarity(Command):
+    """Which pins the wiring inverts. Goes with the configuration that is staged, directly after its `stage`; what is not
+    said stays as it is in force. Refused while anything is armed. Interlock and end switches can not be inverted: a
+    broken wire must say unsafe.
+    """
+
+    ID: ClassVar[int] = 0x1A
+    SCHEMA_BYTE: ClassVar[int] = 0xD7
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    LENGTH: ClassVar[int] = 2
+    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "inverted")
+    REPLY: ClassVar[type[Reply]] = PolarityReply
+    QUERY: ClassVar[bool] = False
+
+    generation: int  # of the configuration that is staged
+    inverted: PolarityFlag
+
+    def pack(self) -> bytes:
+        return _pack("polarity", self.LAYOUT, self.generation, self.inverted)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], PolarityFlag(v[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTrigger(Command):
+    """The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at
+    its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge:
+    it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
+    """
+
+    ID: ClassVar[int] = 0x1B
+    SCHEMA_BYTE: ClassVar[int] = 0xBC
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "width")
+    REPLY: ClassVar[type[Reply]] = CameraTriggerReply
+    QUERY: ClassVar[bool] = False
+
+    generation: int  # of the configuration that is staged
+    width: int  # ticks; how long each trigger lasts; 0 = none, edges are those of the sync input
+
+    def pack(self) -> bytes:
+        return _pack("camera_trigger", self.LAYOUT, self.generation, self.width)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring(Command):
+    """What of the pins is in force beside `configuration`."""
+
+    ID: ClassVar[int] = 0x1C
+    SCHEMA_BYTE: ClassVar[int] = 0x82
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = WiringReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("wiring", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Interlock(Command):
     """Which inputs the interlock has. With a second, antivalent one it is open when either says so, and a contradiction of
     over `interlock_disagree_ms` is a fault of its own. Refused while anything is armed or moves. After a reset: GP7
@@ -1867,6 +2090,30 @@ class Hardware(Command):
 
     def pack(self) -> bytes:
         return _pack("hardware", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class Image(Command):
+    """Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three
+    starts without one the other application is started again.
+    """
+
+    ID: ClassVar[int] = 0x1F
+    SCHEMA_BYTE: ClassVar[int] = 0x58
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = ImageReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("image", self.LAYOUT)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
@@ -2150,9 +2397,13 @@ COMMANDS: dict[int, type[Command]] = {
     0x14: UpdateBegin,
     0x15: UpdateData,
     0x16: UpdateEnd,
+    0x1F: Image,
     0x17: Measure,
     0x18: Samples,
     0x19: Preamble,
+    0x1A: Polarity,
+    0x1B: CameraTrigger,
+    0x1C: Wiring,
     0x12: Turntable,
     0x13: TurntableStop,
     0x1D: Interlock,
@@ -2181,9 +2432,13 @@ REPLIES: dict[int, type[Reply]] = {
     0x54: UpdateBeginReply,
     0x55: UpdateDataReply,
     0x56: UpdateEndReply,
+    0x5F: ImageReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
     0x59: PreambleReply,
+    0x5A: PolarityReply,
+    0x5B: CameraTriggerReply,
+    0x5C: WiringReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
     0x5D: InterlockReply,

@@ -8,12 +8,11 @@ from typing import Protocol, TypeVar
 
 from annulus.controller import CHIPS_MAX, CODES, HOST_TIMEOUT_DEFAULT_MS, TICK_HZ, TICKS_PER_US
 from annulus.link.client import Client
-from annulus.link.head import LATCHING
+from annulus.link.hardware import hardware_fields
 from annulus.link.messages import (
     COMMANDS,
     Arm,
     ArmFlag,
-    BoardKind,
     BootCause,
     Burst,
     BurstCode,
@@ -30,15 +29,14 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
-    Hardware,
-    HardwareReply,
     Health,
     HealthReply,
-    Interlock,
-    InterlockFlag,
-    InterlockReply,
+    Image,
+    ImageReply,
+    ImageWhy,
     Move,
     Pattern,
+    Polarity,
     Stage,
     StageReply,
     StateFlag,
@@ -53,8 +51,11 @@ from annulus.link.messages import (
     TurntableStop,
     TurntableStopped,
     TurntableStopReply,
+    Wiring,
+    WiringReply,
 )
-from annulus.link.problems import configuration_problem, too_old
+from annulus.link.pins import AS_WIRED, Pins, pins_text
+from annulus.link.problems import LATCHING, configuration_problem, too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -97,11 +98,27 @@ def status(port: str) -> dict[str, object]:
             "late_flashes": reply.late,
             "event_overruns": reply.overruns,
             "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
+            **_image_fields(client),
             **_configuration_fields(client),
+            **_wiring_fields(client),
             **_crash_fields(client),
             **_health(client),
-            **_hardware(client),
+            **hardware_fields(client),
         }
+
+
+def _image_fields(client: Client) -> dict[str, object]:
+    """Which application runs, and whether the next start would find it."""
+    found = client.request(Image()) if client.session.knows(Image) else None
+    if not isinstance(found, ImageReply):
+        return {"image_slot": None, "image": None, "image_in_flash": None}
+    if found.why is ImageWhy.GIVEN_UP:
+        line = "the newer one was started three times and no host understood it: went back to this"
+    elif found.why is ImageWhy.DAMAGED:
+        line = "the newer one is damaged in flash: went back to this. Flash again"
+    else:
+        line = f"on trial, start {found.starts} of 3" if found.starts else "confirmed"
+    return {"image_slot": found.slot, "image": line, "image_in_flash": found.flash.name.lower()}
 
 
 def _configuration_fields(client: Client) -> dict[str, object]:
@@ -122,6 +139,18 @@ def _configuration_fields(client: Client) -> dict[str, object]:
         "projector_width_us": found.projector_width / us,
         "led_delay_us": found.led_delay / us,
         "led_width_us": found.led_width / us,
+    }
+
+
+def _wiring_fields(client: Client) -> dict[str, object]:
+    """Pins that are inverted, and outputs that are driven; null: firmware too old."""
+    found = client.request(Wiring()) if client.session.knows(Wiring) else None
+    if not isinstance(found, WiringReply):
+        return {"pins_inverted": None, "pins_driven": None, "camera_trigger_us": None}
+    return {
+        "pins_inverted": pins_text(found.inverted),
+        "pins_driven": pins_text(found.driven),
+        "camera_trigger_us": found.camera_trigger / TICKS_PER_US,
     }
 
 
@@ -163,52 +192,18 @@ def _health(client: Client) -> dict[str, object]:
     }
 
 
-def _hardware(client: Client) -> dict[str, object]:
-    """What the controller finds about itself."""
-    found = client.request(Hardware()) if client.session.knows(Hardware) else None
-    if not isinstance(found, HardwareReply):
-        return dict.fromkeys(("carrier", "vbus", "interlock"))
-    return {
-        "carrier": carrier_line(found),
-        "vbus": found.vbus.name.lower(),
-        "interlock": interlock_line(found.interlock),
-    }
-
-
-def use_both_inputs(port: str) -> InterlockFlag:
-    """The interlock has a second input from now on; what both say. AnnulusError for a controller that cannot look."""
-    with Client(port) as client:
-        if not client.session.knows(Interlock):
-            raise AnnulusError(f"{port}: {too_old(Interlock)}")
-        reply = client.request(Interlock(InterlockFlag.ANTIVALENT))
-        assert isinstance(reply, InterlockReply)
-        return reply.inputs
-
-
-def carrier_line(found: HardwareReply) -> str:
-    """The board under the chip, and what goes with it."""
-    match found.board:
-        case BoardKind.PICO:
-            return "Pico"
-        case BoardKind.PICO_W:
-            return "Pico W (no status light, VBUS not sensed)"
-    return "unknown (VBUS not sensed)"
-
-
-def interlock_line(inputs: InterlockFlag) -> str:
-    """What its inputs say, in one line."""
-    first = "open" if InterlockFlag.OPEN in inputs else "closed"
-    if InterlockFlag.ANTIVALENT not in inputs:
-        return f"{first} (GP7)"
-    second = "open" if InterlockFlag.ANTIVALENT_OPEN in inputs else "closed"
-    return f"{first} (GP7 and GP13)" if first == second else f"contradicts itself: GP7 {first}, GP13 {second}"
-
-
-def configure(port: str, stage: Stage) -> dict[str, object]:
-    """Stage, validate, commit. AnnulusError with the controller's reason when it refuses."""
+def configure(port: str, stage: Stage, pins: Pins | None = None) -> dict[str, object]:
+    """Stage, validate, commit. `pins` None: as they are in force. AnnulusError with the controller's reason when it
+    refuses.
+    """
     with Client(port) as client:
         reply = client.request(stage)
         assert isinstance(reply, StageReply)
+        if pins is not None and client.session.knows(Polarity):
+            client.request(pins.polarity(stage.generation))
+            client.request(pins.trigger(stage.generation))
+        elif pins not in (None, AS_WIRED):
+            raise AnnulusError(f"{port}: {too_old(Polarity)}")
         client.request(Commit(stage.generation))
         verified = _verify(client, port, stage)
         return {

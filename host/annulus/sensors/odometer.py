@@ -5,6 +5,9 @@ edges are lost: an edge brings the whole count. Across a boot nobody counted. Th
 the speed it had, a new segment of z begins, and its places are marked as assumed, with a bound that holds as long as
 nothing pulls faster than `max_speed_mm_s`. Only `zero` ends the assumption.
 
+While the controller measures its own pins it counts nothing, and its edges say so (`ODOMETER_FROZEN`). Their frames
+have no place; the first edge without the flag ends a gap, as the first one of another boot does.
+
 Who reads a recording may lack some of what the head heard (`cut`). Then the counts of a boot go on, but from which zero
 nobody knows: places are assumed, with no bound but ANYWHERE_MM, until a `zero`, or until one who counted through says
 where an edge was (`counted_on`).
@@ -17,7 +20,7 @@ from typing import Any
 
 from annulus.controller import TICK_NS
 from annulus.sensors.sample import Sample
-from annulus.vocabulary import Flash
+from annulus.vocabulary import EdgeFlag, Flash
 
 SPEED_SPAN_NS = 200_000_000  # over which the head's speed is taken; two edges at least
 EXPECT_NS = 5_000_000_000  # for so long at most a head nobody heard of is taken to have moved on
@@ -29,6 +32,7 @@ BOOT_SLACK_NS = 20_000_000  # clock maps differ: by so much a boot may seem to b
 ANYWHERE_MM = 1e8  # a bound that says nothing: no pipe is longer, and what is written for readers stays a number
 CUT_SEGMENT = 1 << 30  # numbers of segments behind the first cut begin here: the head's own never get so far
 CUT_SEGMENTS, CUTS_MAX = 1 << 10, 1 << 20  # numbers behind one cut: restarts and zeros until it is mended; cuts
+RESTARTED, MEASURED = "the controller restarted", "the controller measured its own pins"  # why nobody counted
 LOST_EDGES = 16  # a loss of counts is told 0.1 s late at most: so many edges may have been before
 
 
@@ -47,16 +51,17 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A stretch in which nobody counted, ended by the first edge of another boot."""
+    """A stretch in which nobody counted, ended by the first edge that was counted again."""
 
     host_ns: int  # of that edge
     seconds: float  # without odometer
     from_mm: float
     place: Place  # assumed, at that edge
+    why: str = RESTARTED
 
     def __str__(self) -> str:
         return (
-            f"the controller restarted; {self.seconds:.1f} s without odometer; z is assumed to go on at "
+            f"{self.why}; {self.seconds:.1f} s without odometer; z is assumed to go on at "
             f"{self.place.z_mm:.1f} mm (+- {self.place.bound_mm:.0f} mm, from {self.from_mm:.1f}); zero it or mark the "
             "place"
         )
@@ -98,6 +103,7 @@ class Odometer:
         self._last_edge = 0
         self._lost = 0  # counts, in this boot, as the controller says
         self._zero_next = False
+        self._stood = False  # at the last edge: the controller measured its own pins
         self._cut = False  # and no edge was heard since
         self._heard_from: tuple[int, int] | None = None  # epoch and number of the first edge behind the last cut
         self._samples: list[Sample] = []
@@ -122,10 +128,16 @@ class Odometer:
 
     def edge(self, flash: Flash, host_ns: int, nonce: int | None = None) -> None:
         """Every edge, as it is heard. One that had to be read again, and so comes late, places its frame only."""
+        if EdgeFlag.ODOMETER_FROZEN in flash.flags:
+            self._stood |= not self._recent or host_ns > self._recent[-1][0]
+            return
         if not self._knows(flash):
             self._another_boot(flash, host_ns, nonce)
+        elif self._stood and self._recent and host_ns > self._recent[-1][0]:
+            self._counts_again(flash, host_ns)
         elif self._recent and host_ns <= self._recent[-1][0]:
             return
+        self._stood = False
         if self._cut:
             self._cut, self._heard_from = False, (flash.epoch, flash.edge)
         place = self._place(flash)
@@ -183,7 +195,8 @@ class Odometer:
     def place(self, flash: Flash) -> Place | None:
         """Of a frame, from its flash; None when that boot's edges were never heard, too long ago, or before a cut."""
         before_cut = self._heard_from is not None and self._heard_from > (flash.epoch, flash.edge)
-        return None if self._cut or before_cut or not self._knows(flash) else self._place(flash)
+        stood = EdgeFlag.ODOMETER_FROZEN in flash.flags
+        return None if stood or self._cut or before_cut or not self._knows(flash) else self._place(flash)
 
     def remembered(self) -> dict[str, Any]:
         """All that later places follow from, as plain types; `recalled` is the inverse."""
@@ -191,6 +204,7 @@ class Odometer:
             "mm_per_count": self._mm_per_count, "max_speed_mm_s": self._max_speed,
             "segments": [asdict(segment) for segment in self._segments], "recent": [list(one) for one in self._recent],
             "last_edge": self._last_edge, "lost": self._lost, "zero_next": self._zero_next,
+            "stood": self._stood,
         }  # fmt: skip
 
     @classmethod
@@ -202,7 +216,7 @@ class Odometer:
         if bool(odometer._segments) != bool(odometer._recent):
             raise ValueError("an odometer that heard edges, and none")
         odometer._last_edge, odometer._lost = int(data["last_edge"]), int(data["lost"])
-        odometer._zero_next = bool(data["zero_next"])
+        odometer._zero_next, odometer._stood = bool(data["zero_next"]), bool(data.get("stood", False))
         return odometer
 
     def poll(self) -> list[Sample]:
@@ -238,20 +252,35 @@ class Odometer:
             self._begin(_Segment(flash.epoch, flash.edge, 0.0, nonce=nonce))
             return
         before = self._segments[-1]
-        if nonce is not None and nonce == before.nonce:  # it was taken for another boot, and is none
+        if (
+            nonce is not None and nonce == before.nonce and not self._stood
+        ):  # it was taken for another boot, and is none
             self._begin(replace(before, epoch=flash.epoch, first_edge=flash.edge))
             return
         self._lost = 0
-        last_ns, last_mm = self._recent[-1] if self._recent else (host_ns, 0.0)
+        last_ns = self._recent[-1][0] if self._recent else host_ns
         gap_ns, counted_mm = self._uncounted(flash, host_ns, last_ns)
-        travel_mm = self.speed_mm_s * min(gap_ns, EXPECT_NS) / 1e9
-        bound_mm = min(before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9, ANYWHERE_MM)
         if before.bound_mm >= ANYWHERE_MM:  # what was before says nothing of this boot: it may yet be told by itself
             self._segments.clear()
             self._cut = True
+        self._after_gap(before, flash, host_ns, gap_ns, counted_mm, nonce, RESTARTED)
+
+    def _counts_again(self, flash: Flash, host_ns: int) -> None:
+        """The first edge after a measurement, in which nothing was counted."""
+        before = self._segments[-1]
+        gap_ns = host_ns - self._recent[-1][0]
+        self._after_gap(before, flash, host_ns, gap_ns, 0.0, before.nonce, MEASURED)
+
+    def _after_gap(
+        self, before: _Segment, flash: Flash, host_ns: int, gap_ns: int, counted_mm: float, nonce: int | None, why: str
+    ) -> None:
+        """z goes on at the speed it had. `counted_mm`: since the gap."""
+        last_mm = self._recent[-1][1] if self._recent else 0.0
+        travel_mm = self.speed_mm_s * min(gap_ns, EXPECT_NS) / 1e9
+        bound_mm = min(before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9, ANYWHERE_MM)
         place = Place(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
         self.gaps += 1
-        self.gap = Gap(host_ns, gap_ns / 1e9, last_mm, place)
+        self.gap = Gap(host_ns, gap_ns / 1e9, last_mm, place, why)
         start_mm = place.z_mm - self._moved(flash)
         self._begin(_Segment(flash.epoch, flash.edge, start_mm, place.segment, bound_mm, nonce))
 
@@ -262,6 +291,8 @@ class Odometer:
         the bound too wide.
         """
         whole_ns = max(0, host_ns - last_ns)
+        if self._stood:  # not all of this boot was counted
+            return whole_ns, 0.0
         gap_ns = whole_ns - flash.tick * TICK_NS
         if not -BOOT_SLACK_NS <= gap_ns <= whole_ns:  # this boot is older than our last edge: its counts say nothing
             return whole_ns, 0.0

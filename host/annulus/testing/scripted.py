@@ -18,6 +18,8 @@ from annulus.link.messages import (
     BoardKind,
     BootCause,
     Booted,
+    CameraTrigger,
+    CameraTriggerReply,
     Clear,
     ClearReply,
     Command,
@@ -42,6 +44,9 @@ from annulus.link.messages import (
     MoveReply,
     Ping,
     PingReply,
+    Polarity,
+    PolarityFlag,
+    PolarityReply,
     Preamble,
     PreambleReply,
     Presence,
@@ -54,6 +59,8 @@ from annulus.link.messages import (
     Status,
     StatusCode,
     StatusReply,
+    Wiring,
+    WiringReply,
 )
 
 REPLIES_KEPT = 8
@@ -80,6 +87,8 @@ class ScriptedController:
         self.nonce += 1
         self.edges = 0
         self._staged: Stage | None = None
+        self._staged_inverted = self.inverted = PolarityFlag(0)
+        self._staged_trigger = self.trigger = 0
         self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
         self._ring: dict[int, Event] = {}
@@ -159,9 +168,8 @@ class ScriptedController:
                 held = self.in_force.generation if self.in_force else 0
                 return StatusReply(*ok, state, self.fault, held, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
             case Info():
-                known = sum(1 << id_ for id_, kind in COMMANDS.items() if self.level >= kind.SINCE).to_bytes(
-                    8, "little"
-                )
+                ids = (id_ for id_, kind in COMMANDS.items() if self.level >= kind.SINCE)
+                known = sum(1 << id_ for id_ in ids).to_bytes(8, "little")
                 return InfoReply(*ok, self.level, 0, 1, 0, b"0" * 16, known, 0xFF, self.nonce, 0, 0, 1000)
             case Configuration():
                 stage = self.in_force or Stage(0, *[0] * 10)
@@ -174,11 +182,22 @@ class ScriptedController:
             case Preamble(length, interval):
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
-                self._staged = command
+                self._staged, self._staged_inverted = command, self.inverted
+                self._staged_trigger = self.trigger
                 return StageReply(*ok, generation, 0, 0)
             case Commit(generation):
-                self.in_force = self._staged
+                self.in_force, self.inverted = self._staged, self._staged_inverted
+                self.trigger = self._staged_trigger
                 return CommitReply(*ok, generation)
+            case Polarity(generation, inverted):
+                self._staged_inverted = inverted
+                return PolarityReply(*ok, generation, inverted)
+            case CameraTrigger(generation, width):
+                self._staged_trigger = width
+                return CameraTriggerReply(*ok, generation, width)
+            case Wiring():
+                held = self.in_force.generation if self.in_force else 0
+                return WiringReply(*ok, held, self.inverted, PolarityFlag(0), self.trigger)
             case Arm(outputs):
                 self.armed = bool(outputs) and status is StatusCode.OK
                 return ArmReply(*ok, outputs)

@@ -89,7 +89,7 @@ class Driver:
         number = int(exposure.sequence)
         self._past.append(exposure)
         draws = self._draws()
-        self._changes(number)
+        self._changes(number, exposure.missed)
         if self.absent(number):
             self.counts["unplugged"] += 1
             return None
@@ -109,10 +109,12 @@ class Driver:
         elif hiccup:
             picture = (Part(exposure, 0.0, 0.0),)
         self._picture, self._due = picture, due
-        count = None if self._faults.uncounted else CameraSequence(max(0, number - self._counted_from))
+        count = (
+            None if self._faults.uncounted else CameraSequence(max(0, number - exposure.missed - self._counted_from))
+        )
         stamp = self._stamp(exposure, number, draws)
         if self._faults.stamped_when_handed_over:
-            stamp += round((due - exposure.edge_tick - LAG_US * TICKS_PER_US) * TICK_NS)
+            stamp += round((due - exposure.edge_tick - exposure.reads_out - LAG_US * TICKS_PER_US) * TICK_NS)
         return Delivered(number, count, stamp, due, picture)
 
     def absent(self, number: int) -> bool:
@@ -130,7 +132,7 @@ class Driver:
             return exposure.dropped
         return bool(self._loses.of(int(exposure.sequence)).random() < self._faults.frames_dropped)
 
-    def _changes(self, number: int) -> None:
+    def _changes(self, number: int, missed: int) -> None:
         while self._steps and self._steps[0][0] <= number:
             self._stepped += self._steps.pop(0)[1]
             self._lost("stamp_step", number - 1)
@@ -142,11 +144,11 @@ class Driver:
             self._lost("pictures_behind", number - 1)
         while self._jumps and self._jumps[0][0] <= number:
             by = self._jumps.pop(0)[1]
-            self._counted_from = number if by is None else self._counted_from - int(by)
+            self._counted_from = number - missed if by is None else self._counted_from - int(by)
             self._lost("count_reset" if by is None else "count_jump", number - 1)
         while self._unplugged and sum(self._unplugged[0]) <= number:
             self._unplugged.pop(0)
-            self._counted_from = number
+            self._counted_from = number - missed
             self._lost("unplug", number - 1)
         while self._frozen and sum(self._frozen[0]) <= number:
             self._frozen.pop(0)
@@ -205,7 +207,12 @@ class Driver:
         """When the host has it; None when the driver had no buffer left while the host stood still."""
         faults = self._faults
         lag_us = LAG_US - LAG_SPREAD_US * math.log(1.0 - draws[6])
-        due = exposure.edge_tick + lag_us * TICKS_PER_US + (faults.delivery_frames + self._queued) * self._period
+        due = (
+            exposure.edge_tick
+            + exposure.reads_out
+            + lag_us * TICKS_PER_US
+            + (faults.delivery_frames + self._queued) * self._period
+        )
         soonest = self._due + 50 * TICKS_PER_US
         if draws[7] < faults.frames_late:
             self.counts["late"] += 1

@@ -1,13 +1,13 @@
 """The controller's shipped image on an emulated RP2040, in virtual time: tools/emulator as a child process, with the
 verbs of the native board, so that whatever runs on the one runs on the other.
 
-    with EmulatedBoard() as board:              # powered on; about 3 ms until it answers
+    with EmulatedBoard() as board:              # powered on; about 25 ms until it answers
         board.input(tick=50_000_000, pin=PIN_SYNC, level=0)
         board.run_until(60_000_000)
         answer, pins = board.serial_read(), board.pins()
 
-What differs from `NativeBoard`: there may be many; the boot byte is the image's own choice; a restart takes 1 ms of
-boot ROM and some more until the controller counts; and a run ends with an instruction, so an input given for the very
+What differs from `NativeBoard`: there may be many; the boot byte is the image's own choice; a restart takes 25 ms of
+boot ROM and loader until the controller counts; and a run ends with an instruction, so an input given for the very
 next ticks may come up to a tenth of a microsecond late.
 """
 
@@ -31,7 +31,7 @@ from annulus.vocabulary import AnnulusError
 
 BOARDS = ("native", "emulated")
 
-_BOOT_TICKS = 300_000  # boot ROM, clocks, first event
+_BOOT_TICKS = 3_000_000  # boot ROM, loader, clocks, first event
 
 
 class Board(Protocol):
@@ -42,6 +42,8 @@ class Board(Protocol):
     def input(self, tick: int, pin: int, level: int) -> None: ...
 
     def wire(self, *wires: tuple[int, int]) -> None: ...
+
+    def pull(self, *pulls: tuple[int, int]) -> None: ...
 
     def serial_write(self, data: bytes) -> int: ...
 
@@ -127,6 +129,10 @@ class EmulatedBoard:
     def wire(self, *wires: tuple[int, int]) -> None:
         """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled."""
         self._do({"op": "wires", "wires": wires})
+
+    def pull(self, *pulls: tuple[int, int]) -> None:
+        """Resistors outside: (output, level) that its pad shows while nobody drives it."""
+        self._do({"op": "pulls", "pulls": pulls})
 
     def serial_write(self, data: bytes) -> int:
         """Send bytes to the controller's UART at line speed, from now on; all are taken."""

@@ -27,6 +27,7 @@ _AMOUNTS = {
     "stamp_drift_ppm": (-1e4, 1e4),
     "stamp_drift_turn_s": (0.0, 1e6),
     "delivery_frames": (0.0, 100.0),
+    "sync_late_us": (0.0, 1e4),
 }
 _FRAMES = ("resets", "power_losses", "count_resets")
 _PLACED = {  # what the second number may be
@@ -54,6 +55,9 @@ class Faults:
     bytes_flipped: float = 0.0  # of all bytes from the controller
     timestamp_jitter_us: float = 0.0  # standard deviation, normal
     sync_missing: float = 0.0  # edges that never come
+    sync_late_us: float = (
+        0.0  # the mean, exponential: never early; edges that a receiver's driver sets in its interrupt
+    )
     sync_glitches: float = 0.0  # edges doubled by a 20 us spike in the middle of a frame
     resets: tuple[int, ...] = ()  # the controller restarts in the middle of these frames
     sensors_silent: tuple[tuple[str, float, float], ...] = ()  # name, seconds from the start, for how many

@@ -29,7 +29,8 @@ from typing import IO, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.timing import FrameTiming
+from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
+from annulus.link.pins import AS_WIRED, Pins, pins_list
 from annulus.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
@@ -39,6 +40,7 @@ from annulus.vocabulary import AnnulusError
 
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
+TRIGGERED_READOUT_US = 14_300.0  # of the Global Shutter camera
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
 _START_S = 300.0  # the first start of a fresh install compiles the renderer, on a small machine too
@@ -47,9 +49,13 @@ HEADS: Mapping[str, Callable[[int], World]] = {  # by seed
 }  # fmt: skip
 
 
-def head_timing(fps: float) -> FrameTiming:
-    """The twin camera's mode at a frame rate: exposure 2 ms short of the period, readout 28 ms or less."""
+def head_timing(fps: float, trigger: str = "none") -> FrameTiming:
+    """The twin camera's mode at a frame rate: exposure 2 ms short of the period, readout 28 ms or less. Of one that
+    takes a trigger: half the period, and then the readout, 14.3 ms or less.
+    """
     period = 1e6 / fps
+    if trigger != "none":
+        return FrameTiming(fps, 0.5 * period, min(TRIGGERED_READOUT_US, 0.4 * period))
     exposure = period - min(SLACK_US, 0.05 * period)
     return FrameTiming(fps, exposure, min(READOUT_MAX_US, 0.7 * period))
 
@@ -65,6 +71,8 @@ class HeadHandle:
     process: "subprocess.Popen[bytes]" = field(repr=False)
     _lines: "queue.SimpleQueue[bytes]" = field(repr=False)
     camera_addresses: tuple[str, ...] = ()  # of all
+    pins: Pins = AS_WIRED
+    trigger: str = "none"  # what the cameras take
 
     def counters(self) -> dict[str, Any]:
         """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
@@ -131,6 +139,8 @@ def start_head(
     board: str = "native",
     others: Sequence[Faults] = (),
     ground: Ground | None = None,
+    pins: Pins = AS_WIRED,
+    trigger: str = "none",
 ) -> HeadHandle:
     """Start a head in its own process and wait until it can be talked to.
 
@@ -139,10 +149,11 @@ def start_head(
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
     core, two at most. board : native or emulated, the shipped image. others : what the drivers of further cameras do,
     where that is not what the first one's does. ground : what the pipe lies in, for a head with capacitive sectors.
+    pins : how it is wired. trigger : what its cameras take, as in head.toml.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
     """
-    mode = timing or head_timing(fps)
+    mode = timing or head_timing(fps, trigger)
     order = {
         "world": world.to_dict(),
         "timing": asdict(mode),
@@ -154,6 +165,8 @@ def start_head(
         "threads": threads or default_threads(),
         "board": board,
         "ground": None if ground is None else asdict(ground),
+        "pins": asdict(pins),
+        "trigger": trigger,
     }
     process = subprocess.Popen(
         [sys.executable, "-c", "from annulus.twin.process import main; main()"],
@@ -175,7 +188,7 @@ def start_head(
         process.stdin.flush()
         up = json.loads(lines.get(timeout=_START_S))
         cameras = tuple(up["cameras"])
-        return HeadHandle(up["port"], cameras[0], up["sensors"], mode, process, lines, cameras)
+        return HeadHandle(up["port"], cameras[0], up["sensors"], mode, process, lines, cameras, pins, trigger)
     except BaseException as error:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)  # what broke it is still being said
@@ -208,8 +221,12 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
     calibration : file with the head's calibration, where live profiles are wanted.
     """
-    timing = head.timing
-    delay_us = math.ceil(timing.opens_us + FLASH_AFTER_OPENING_US)
+    timing = flashes_in = head.timing
+    triggered = ""
+    if head.trigger != "none":
+        flashes_in = timing.triggered(TRIGGER_EXTRA_US[head.trigger])
+        triggered = f'\n        trigger = "{head.trigger}"'
+    delay_us = math.ceil(flashes_in.opens_us + FLASH_AFTER_OPENING_US)
     section = "[[camera]]" if world.others else "[camera]"
     cameras = "".join(
         f"""
@@ -220,12 +237,13 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
         height = {one.camera.height}
         fps = {timing.fps:g}
         exposure_us = {timing.exposure_us:.1f}
-        readout_us = {timing.readout_us:.1f}"""
+        readout_us = {timing.readout_us:.1f}{triggered}"""
         for address, one in zip(head.camera_addresses or (head.camera_address,), world.cameras, strict=True)
     )
     lines = f"""
         [controller]
-        port = "{head.port_url}"{cameras}
+        port = "{head.port_url}"
+        inverted = {json.dumps(pins_list(head.pins.inverted))}{cameras}
         [lamps]
         ratio = 4
         projector_delay_us = {delay_us}
@@ -246,7 +264,7 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
 def run_head(
     fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring",
-    buried_m: float | None = None,
+    buried_m: float | None = None, pins: Pins = AS_WIRED, trigger: str = "none",
 ) -> None:  # fmt: skip
     """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
 
@@ -265,7 +283,7 @@ def run_head(
         len(world.cameras)
     ):  # compiles here, where who waits can be told, and not in the head's process
         Renderer(world, number).render(world.pose(0.0), 0.0, 1.0, rows=(0, 8))
-    with start_head(world, fps, faults, seed=seed, board=board, ground=ground) as running:
+    with start_head(world, fps, faults, seed=seed, board=board, ground=ground, pins=pins, trigger=trigger) as running:
         if out is None:
             print(head_toml(running, world), flush=True)
         else:

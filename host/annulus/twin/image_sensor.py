@@ -26,12 +26,15 @@ from numpy.typing import NDArray
 from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS, TICKS_PER_US
 from annulus.geometry.pose import Pose
+from annulus.link.messages import PolarityFlag
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.twin.cable import Cable, Stimulus
 from annulus.twin.draws import Draws
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.worlds.world import World
 from annulus.vocabulary import CameraSequence, Lamp
 
+_LAMPS = {PIN_PROJECTOR: PolarityFlag.PROJECTOR, PIN_LED: PolarityFlag.LED}
 UNLIT = 1e-4  # of a lamp's nominal light: less is none
 
 
@@ -67,6 +70,8 @@ class Exposure:
     projector: NDArray[np.float32]  # (H,) on-time each row saw, over the lamp's nominal on-time
     led: NDArray[np.float32]
     dropped: bool  # the driver lost it
+    missed: int = 0  # triggers until then that made no frame: none of its numbers, though `sequence` has them
+    reads_out: int = 0  # ticks from the edge to the end of its readout
 
     @property
     def pose(self) -> Pose:
@@ -99,17 +104,21 @@ class ImageSensor:
         start_tick: int = 0,
         timestamp_offset_us: float | None = None,
         speed_mm_s: float = 0.0,
+        pins: Pins = AS_WIRED,
     ) -> None:
         """timestamp_offset_us: driver's timestamp minus the sync edge; by default the start of the readout, as V4L2.
 
-        speed_mm_s: of the cable from the start on; see `pull`.
+        speed_mm_s: of the cable from the start on; see `pull`. pins: lamps whose drivers are active low, a sync line
+        that rests low.
         """
         self.world = world
         self.timing = timing
         self.faults = faults
         self.clock = clock or HostClock()
         self.offset_us = -timing.readout_us if timestamp_offset_us is None else timestamp_offset_us
-        self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7))
+        self._pins = pins
+        self._dark = {pin: int(flag in pins.inverted) for pin, flag in _LAMPS.items()}  # level at which it is
+        self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7), Draws(seed, 8))
         self._period = timing.period_us * TICKS_PER_US
         self._readout = round(timing.readout_us * TICKS_PER_US)
         self._exposure = round(timing.exposure_us * TICKS_PER_US)
@@ -145,9 +154,13 @@ class ImageSensor:
             raise ValueError(f"the cable's way up to tick {self._told} is already told, {tick} is too late")
         self.cable.pull(tick, speed_mm_s)
 
+    def is_lit(self, pin: int, level: int) -> bool:
+        """Whether a lamp is, whose gate stands so."""
+        return level != self._dark[pin]
+
     def levels(self) -> list[tuple[int, int]]:
         """(pin, level) of every input as it is now: for a board that has just been powered on again."""
-        return [(PIN_INTERLOCK, 0), (PIN_SYNC, 0), *self.cable.levels()]
+        return [(PIN_INTERLOCK, 0), (PIN_SYNC, self._sync_level(0)), *self.cable.levels()]
 
     def stimuli(self, until: int) -> list[Stimulus]:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
@@ -171,19 +184,24 @@ class ImageSensor:
 
         transitions : (tick, pin, level) of all output pins since the last call; they must be complete up to `now`.
         """
-        told = transitions.tolist() if isinstance(transitions, np.ndarray) else transitions
-        for tick, pin, level in told:
-            if pin in self._gates and not (self.faults.flashes_failed and level and self._fails(tick)):
-                self._gates[pin].change(tick, level)
+        self._lamps_moved(transitions.tolist() if isinstance(transitions, np.ndarray) else transitions)
         done = []
         while self.edge(self._ended) <= now:
             done.append(self._expose(self._ended))
             self._ended += 1
-        before = self.next_edge - self._readout - self._exposure
+        self._forget(self.next_edge - self._readout - self._exposure)
+        return done
+
+    def _lamps_moved(self, transitions: Iterable[Sequence[int]]) -> None:
+        for tick, pin, level in transitions:
+            lit = pin in self._gates and self.is_lit(pin, level)
+            if pin in self._gates and not (self.faults.flashes_failed and lit and self._fails(tick)):
+                self._gates[pin].change(tick, lit)
+
+    def _forget(self, before: int) -> None:
         for gate in self._gates.values():
             if gate.pulses:
                 gate.forget(before)
-        return done
 
     def _expose(self, frame: int) -> Exposure:
         edge = self.edge(frame)
@@ -226,6 +244,9 @@ class ImageSensor:
         """Whether the lamp does not follow a gate that opens then."""
         return bool(self._draws[2].of(round(tick / self._period)).random() < self.faults.flashes_failed)
 
+    def _sync_level(self, level: int) -> int:
+        return 1 - level if PolarityFlag.SYNC in self._pins.inverted else level
+
     def _sync_of(self, frame: int) -> list[Stimulus]:
         """High from the end of the first line to the end of the last."""
         missing = glitch = False
@@ -233,11 +254,15 @@ class ImageSensor:
             rng = self._draws[1].of(frame)
             missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         edge = self.edge(frame)
-        out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), PIN_SYNC, 1), (edge, PIN_SYNC, 0)]
+        begins, ends = edge - max(self._readout, 100), edge
+        if self.faults.sync_late_us:
+            late = self._draws[3].of(frame).exponential(self.faults.sync_late_us * TICKS_PER_US, 2)
+            begins, ends = begins + round(late[0]), max(ends + round(late[1]), begins + round(late[0]) + 1)
+        out: list[Stimulus] = [] if missing else [(begins, PIN_SYNC, 1), (ends, PIN_SYNC, 0)]
         if glitch:
             spike = edge + round(self._period) // 8
             out += [(spike, PIN_SYNC, 1), (spike + 20 * TICKS_PER_US, PIN_SYNC, 0)]
-        return out
+        return [(tick, pin, self._sync_level(level)) for tick, pin, level in out]
 
     @property
     def _history(self) -> int:
@@ -261,7 +286,7 @@ class _Gate:
     on_since: int | None = None
     pulses: list[tuple[int, int]] = field(default_factory=list)
 
-    def change(self, tick: int, level: int) -> None:
+    def change(self, tick: int, level: bool) -> None:
         if level and self.on_since is None:
             self.on_since = tick
         elif not level and self.on_since is not None:

@@ -23,6 +23,7 @@ _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "native_power_on": (None, (ctypes.c_uint8, ctypes.c_uint8)),
     "native_input": (ctypes.c_bool, (ctypes.c_uint64, ctypes.c_uint8, ctypes.c_uint8)),
     "native_wire": (None, (ctypes.c_uint8, ctypes.c_uint8)),
+    "native_pull": (None, (ctypes.c_uint8, ctypes.c_uint8)),
     "native_serial_write": (ctypes.c_size_t, (ctypes.c_char_p, ctypes.c_size_t)),
     "native_serial_read": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
     "native_seed": (None, (ctypes.c_uint32,)),
@@ -109,6 +110,11 @@ class NativeBoard:
         self._wires = wires
         for output, pin in wires:
             self._live().native_wire(output, pin)
+
+    def pull(self, *pulls: tuple[int, int]) -> None:
+        """Resistors outside: (output, level) that its pad shows while nobody drives it."""
+        for pin, level in pulls:
+            self._live().native_pull(pin, level)
 
     def serial_write(self, data: bytes) -> int:
         """Send bytes to the controller at line speed, from now on; how many were taken."""

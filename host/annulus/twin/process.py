@@ -19,9 +19,10 @@ import zmq
 
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.remote import MESSAGE_MAX
-from annulus.capture.timing import FrameTiming
+from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
 from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S, TICKS_PER_US
 from annulus.link.messages import BootCause
+from annulus.link.pins import pins_from
 from annulus.sensors.sample import Sample
 from annulus.twin.camera_server import CameraServer
 from annulus.twin.capacitance import ground_of
@@ -29,10 +30,11 @@ from annulus.twin.drawing import Drawing, Job
 from annulus.twin.driver import Driver
 from annulus.twin.emulated import EmulatedBoard, open_board
 from annulus.twin.faults import Faults, LossyLine
-from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
+from annulus.twin.image_sensor import Exposure, HostClock
 from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer
 from annulus.twin.sensors import HeadSensors
+from annulus.twin.triggered import sensor_of
 from annulus.twin.worlds.world import World
 from annulus.vocabulary import AnnulusError
 
@@ -107,6 +109,11 @@ class Head:
             renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
         self.board = open_board(str(order["board"]))
         self.boot = 1 + seed % 200
+        pins, trigger = pins_from(order.get("pins", {})), str(order.get("trigger", "none"))
+        if trigger != "none":
+            lasts_us = self.timing.triggered(TRIGGER_EXTRA_US[trigger]).exposure_us
+            pins = pins.triggering(trigger, round(lasts_us * TICKS_PER_US))
+        self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.line = LossyLine(self.faults, seed)
         self.speed_mm_s = float(order["speed_mm_s"])
@@ -123,7 +130,16 @@ class Head:
             self.board.run_until(self.board.tick + EMULATOR_WARM_TICKS)
         start = self.board.tick
         clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
-        self.sensor = ImageSensor(self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start)
+        self.sensor = sensor_of(
+            self.world,
+            self.timing,
+            self.faults,
+            seed=seed,
+            clock=clock,
+            start_tick=start,
+            pins=pins,
+            trigger=trigger,
+        )
         ground = None if order.get("ground") is None else ground_of(order["ground"])
         self.sensors = HeadSensors(
             self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed, ground=ground
@@ -309,7 +325,8 @@ class Head:
                     return {"refused": str(error)}
                 return {}
         last_lit_s = None if self.lamp_tick is None else (now - self.lamp_tick) * TICK_S
-        on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
+        lamps = (("projector", PIN_PROJECTOR), ("led", PIN_LED))
+        on = [name for name, pin in lamps if self.sensor.is_lit(pin, self.board.level(pin))]
         return {
             **self.counts,
             "driver": dict(self.cameras[0].driver.counts),

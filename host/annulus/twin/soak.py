@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus.capture.proof import Witness
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.twin.emulated import open_board
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import profile_of
@@ -38,13 +39,15 @@ def soak(
     board: str = "native",
     jobs: int | None = 1,
     world_frames: int = WORLD_FRAMES,
+    pins: Pins = AS_WIRED,
+    trigger: str = "none",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label and place.
 
     without : witnesses that are not asked: sabotage, which shows what each is good for. jobs : processes, None for one
     a core. board : native or emulated: the same core on a simulated board, or the very
-    image a user flashes.
+    image a user flashes. pins : the head's wiring. trigger : what its camera takes.
 
     Raises AnnulusError when `frames` is too few, a name is unknown, or with the emulated board where silicon would
     have hung.
@@ -63,6 +66,8 @@ def soak(
             unasked,
             board,
             profile.ratio,
+            pins,
+            trigger,
         )
         for i, length in enumerate(lengths)
     ]
@@ -80,7 +85,7 @@ def soak(
     return _together(frames, seed, reports, time.perf_counter() - began)
 
 
-_Order = tuple[int, int, Faults, frozenset[Witness], str, int]
+_Order = tuple[int, int, Faults, frozenset[Witness], str, int, Pins, str]
 _Progress = Callable[[int], None] | None
 
 
@@ -91,11 +96,13 @@ def _world(
     without: frozenset[Witness],
     board: str,
     ratio: int,
+    pins: Pins,
+    trigger: str,
     progress: _Progress = None,
 ) -> dict[str, Any]:
     opened = open_board(board)
     try:
-        world = SoakWorld(frames, seed, faults, opened, without, ratio)
+        world = SoakWorld(frames, seed, faults, opened, without, ratio, pins=pins, trigger=trigger)
         gc.freeze()  # all that was imported: nobody need look through it again
         for frame in range(frames):
             world.frame(frame)

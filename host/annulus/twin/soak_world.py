@@ -10,21 +10,24 @@ import numpy as np
 
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.proof import Witness
-from annulus.capture.timing import FrameTiming
+from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
+from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
 from annulus.link.messages import BootCause, Stage
+from annulus.link.phase import Phase
+from annulus.link.pins import AS_WIRED, Pins
 from annulus.link.preamble import preamble_of
 from annulus.link.session import EventsLost, Rebooted
 from annulus.link.stage import stage_from_us
 from annulus.twin.driver import Delivered, Driver
 from annulus.twin.emulated import Board
 from annulus.twin.faults import Faults, LossyLine
-from annulus.twin.image_sensor import HostClock, ImageSensor
+from annulus.twin.image_sensor import HostClock
 from annulus.twin.pictures import Pictures
-from annulus.twin.truth import Truth, Verdict, relocks
+from annulus.twin.triggered import sensor_of
+from annulus.twin.truth import PLACE_MM, Truth, Verdict, relocks
 from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import Label
 
@@ -37,6 +40,7 @@ WAITING_MAX = 28  # frames that wait while the offset is being found: the daemon
 START_NS = 4_000_000_000_000  # the host has been up for a while
 DRIFT_PPM = 35.0  # of the head's crystal against the host's
 REACH_MM = 3000.0  # the winch goes no further
+TRIGGERED = FrameTiming(25.0, 20_000.0, 14_300.0)  # exposure, and then the IMX296's readout
 SPEED_MAX_MM_S = 12.0  # z is counted at the edge and judged at the flash, 7 ms later: 0.08 mm
 PREAMBLE_FRAMES, PREAMBLE_S = 15, 20.0  # as head.toml has them
 PULL_S = (5.0, 60.0)
@@ -78,31 +82,41 @@ class SoakWorld:
         without: frozenset[Witness],
         ratio: int = 4,
         world: World | None = None,
+        pins: Pins = AS_WIRED,
+        trigger: str = "none",
     ) -> None:
-        """`world`: a clean pipe in small pictures where none is given."""
+        """`world`: a clean pipe in small pictures where none is given. `pins`: the head's wiring.
+        `trigger`: the camera's, of those in head.toml.
+        """
         self.frames, self.seed, self.faults = frames, seed, faults
-        self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
+        self.timing = flashes_in = FrameTiming(25.0, 38_000.0, 28_000.0)
+        if trigger != "none":
+            self.timing = TRIGGERED
+            flashes_in = self.timing.triggered(TRIGGER_EXTRA_US[trigger])
+            pins = pins.triggering(trigger, round(flashes_in.exposure_us * TICKS_PER_US))
         self.period = self.timing.period_us * TICKS_PER_US
         self.world = world or clean_world(seed=seed).scaled(WIDTH)
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
-        self.sensor = ImageSensor(
-            replace(self.world, travel_mm=REACH_MM), self.timing, faults, seed=seed, clock=self.clock,
-            start_tick=MS_TICKS,
+        self.sensor = sensor_of(
+            replace(self.world, travel_mm=REACH_MM), self.timing, faults, trigger=trigger, seed=seed, clock=self.clock,
+            start_tick=MS_TICKS, pins=pins,
         )  # fmt: skip
         self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
         self.pictures = Pictures(self.world, seed)
         self.line = LossyLine(faults, seed)
         self.board = board
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
+        self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.tick = board.tick  # of the world, now; an emulated one takes time to come up
-        stage = soak_configuration(self.timing, self.world, ratio=ratio)
-        self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S))
+        stage = soak_configuration(flashes_in, self.world, ratio=ratio)
+        self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S), pins=pins)
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
         mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
         self.labelling = Labelling(mode, self.navigation, self._told, False, without=without)
-        self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable)
+        place_mm = PLACE_MM + (SPEED_MAX_MM_S * self.timing.period_us * 1e-6 if trigger != "none" else 0.0)
+        self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable, place_mm)
         self.on_the_way: deque[Delivered] = deque()
         self.waiting: deque[Waiting] = deque()
         self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[Verdict]()

@@ -44,13 +44,14 @@ class _Life:
 class Truth:
     """Fed by the world: restarts as they happen, edges as the host hears of them. Asked for each header's verdict."""
 
-    def __init__(self, period: float, mm_per_count: float, cable: Cable) -> None:
+    def __init__(self, period: float, mm_per_count: float, cable: Cable, place_mm: float = PLACE_MM) -> None:
+        """place_mm: by how much z may be off: it is counted at the edge, and the head goes on until the flash."""
         self.assumed = 0  # labelled frames whose z was said to be assumed ..
         self.assumed_error_mm = 0.0  # .. by how much it was off, at most ..
         self.beyond_bound = 0  # .. and how many were further off than the bound that was told
         self.error_mm = 0.0  # the same of those whose z was said to be known
         self._period, self._cable = period, cable
-        self._z_error_max_mm = PLACE_MM + mm_per_count
+        self._z_error_max_mm = place_mm + mm_per_count
         self._lives: list[_Life] = []
         self._edges: dict[tuple[int, int], int] = {}  # life, index -> world tick
         self._zeros: list[tuple[float, float]] = [(-1.0, 0.0)]  # from this tick on z counts from that place

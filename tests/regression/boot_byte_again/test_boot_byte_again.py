@@ -5,8 +5,9 @@ import random
 import pytest
 
 from annulus.controller import PIN_INTERLOCK, PIN_SYNC
-from annulus.link.head import EdgeSeen, HeadControl, Phase
+from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import Stage
+from annulus.link.phase import Phase
 from annulus.link.session import Rebooted
 from annulus.twin.native import NativeBoard
 

@@ -1,8 +1,9 @@
 """A head that had met a controller of another schema never asked again, though it was flashed meanwhile (05b16e0).
 Fails without identify being sent in phase MISMATCH."""
 
-from annulus.link.head import HeadControl, Phase
+from annulus.link.head import HeadControl
 from annulus.link.messages import SCHEMA_HASH, Stage
+from annulus.link.phase import Phase
 from annulus.testing.scripted import ScriptedController
 
 MS = 1_000_000

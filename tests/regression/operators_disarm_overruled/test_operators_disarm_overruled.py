@@ -7,8 +7,9 @@ import ctypes
 import pytest
 
 from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.link.head import HeadControl, Phase
+from annulus.link.head import HeadControl
 from annulus.link.messages import Arm, ArmFlag, Stage
+from annulus.link.phase import Phase
 from annulus.link.session import Answer, Session, identify
 from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError

@@ -4,8 +4,9 @@ import pytest
 
 from annulus.controller import PIN_INTERLOCK, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
 from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, HeadControl, Phase
+from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import Stage
+from annulus.link.phase import Phase
 from annulus.link.session import Rebooted
 from annulus.sensors.odometer import Place
 from annulus.twin.native import NativeBoard

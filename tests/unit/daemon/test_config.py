@@ -16,9 +16,10 @@ from annulus.daemon.config import (
     SocketConfig,
     load_config,
 )
-from annulus.daemon.controller_line import interlock_for, stage_of
+from annulus.daemon.controller_line import interlock_for, pins_for, stage_of
 from annulus.link.head import PING_NS
 from annulus.link.messages import Interlock, InterlockFlag
+from annulus.link.pins import AS_WIRED, pins_of
 from annulus.vocabulary import AnnulusError
 
 CALIBRATION = {
@@ -258,3 +259,33 @@ draws_ma = 50.0
     assert (sectors.name, sectors.address, sectors.period_ms) == ("capacitance", 0x2A, 20.0)
     assert sectors.settings == {"adc_address": 0x48, "inductance_uh": 22.0}
     assert (lamps.name, lamps.address, lamps.period_ms, lamps.settings) == ("lamps", 0x41, 25.0, {"draws_ma": 50.0})
+
+
+def test_pins_that_may_be_inverted_are_named_and_those_that_watch_never_are(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, '[controller]\nport = "/dev/null"\ninverted = ["sync", "led"]\n'))
+    assert pins_for(config) == pins_of("sync,led") and config.to_dict()["inverted"] == ["sync", "led"]
+    for wrong, why in (('["interlock"]', "a broken wire must say unsafe, expected of sync"), ('"sync"', "a list of")):
+        with pytest.raises(AnnulusError, match=why):
+            load_config(write(tmp_path, f"[controller]\ninverted = {wrong}\n"))
+
+
+def test_a_camera_that_takes_a_trigger_gets_one_as_long_as_its_exposure_and_room_for_its_readout(
+    tmp_path: Path,
+) -> None:
+    head = '[controller]\nport = "/dev/null"\n[camera]\ntrigger = "xtrig"\nfps = 25\n'
+    lamps = "[lamps]\nprojector_delay_us = 30100\nled_delay_us = 30100\n"
+    config = load_config(write(tmp_path, head + "exposure_us = 10014.26\nreadout_us = 14300\n" + lamps))
+    assert pins_for(config) == AS_WIRED.triggering("xtrig", 1_000_000)
+    assert stage_of(config).exposure == 1_000_000 and stage_of(config).readout == 0
+    for wrong, why in (
+        ("exposure_us = 30000\nreadout_us = 14300\n", "one after the other do not fit 40000 us"),
+        ("exposure_us = 15\nreadout_us = 14300\n", "the camera adds 14.26 us to its trigger"),
+        ("exposure_us = 5000\nreadout_us = 14300\n", "leaves the window 35014.3..40000 us"),
+    ):
+        with pytest.raises(AnnulusError, match=why):
+            load_config(write(tmp_path, head + wrong + lamps))
+    with pytest.raises(AnnulusError, match="expected one of none, xtrig, pulse"):
+        load_config(write(tmp_path, head.replace("xtrig", "yes")))
+    two = '[[camera]]\ntrigger = "xtrig"\nexposure_us = 10000\nreadout_us = 14300\n[[camera]]\n'
+    with pytest.raises(AnnulusError, match="one line for all"):
+        load_config(write(tmp_path, two))

@@ -4,6 +4,7 @@ import errno
 import itertools
 import json
 import os
+import struct
 import sys
 from pathlib import Path
 from typing import Any
@@ -219,3 +220,16 @@ def test_the_command_is_a_table_or_json_and_its_status_says_whether_something_is
     assert (run.exit_code, run.stdout.splitlines()) == (0, ["ok      disk          fast", "-       port          none"])
     where = CliRunner().invoke(app, ["doctor", "--where"]).stdout.strip()
     assert (Path(where) / UDEV).is_file()
+
+
+def test_a_receiver_that_says_on_a_pin_when_a_frame_ends_is_found(root: Path) -> None:
+    node = root / "proc/device-tree/soc/csi@7e801000"
+    node.mkdir(parents=True)
+    (node / "sync-gpios").write_bytes(struct.pack(">3I", 7, 17, 0))
+
+    def none() -> Any:
+        raise AnnulusError("no Picamera2 here")
+
+    synced = [one for one in cameras(root, none) if one.what == "frame sync" and one.ok]
+    (found,) = synced
+    assert found.text.startswith("GPIO 17 of this computer follows the receiver csi@7e801000")

@@ -31,7 +31,7 @@ class Board:
     address: int = 5
     serial: str = "E0C9125B0D9B"
     product: int = 0x0003
-    flash: bytearray = field(default_factory=lambda: bytearray(b"\x55" * 64 * 1024))
+    flash: bytearray = field(default_factory=lambda: bytearray(b"\x55" * 256 * 1024))
     open_error: int | None = None  # errno that opening gives
     claim_error: int | None = None
     before: Callable[["Board", str], None] = lambda board, what: None  # may raise

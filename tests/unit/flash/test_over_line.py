@@ -13,8 +13,8 @@ from annulus.flash import over_line, update
 from annulus.flash.image import (
     APPLICATION_AT,
     APPLICATION_SIZE_AT,
-    RECORD_AT,
-    SECTOR_BYTES,
+    RECORDS_AT,
+    RECORDS_END,
     Image,
     application,
     has_application,
@@ -214,9 +214,9 @@ def test_only_an_image_with_a_whole_application_goes_over_a_line() -> None:
 
 
 @pytest.mark.parametrize("ours", [True, False])
-def test_after_picoboot_no_older_update_waits_to_be_copied(ours: bool) -> None:
+def test_after_picoboot_nothing_recorded_starts_another_application(ours: bool) -> None:
     board = Board()
     image = image_of(whole() if ours else program(8192))
     done = flash(image, backend=Bus(board))
     assert done.read_back and board.rebooted
-    assert set(board.flash[RECORD_AT : RECORD_AT + SECTOR_BYTES]) == ({0xFF} if ours else {0x55})
+    assert set(board.flash[RECORDS_AT:RECORDS_END]) == ({0xFF} if ours else {0x55})

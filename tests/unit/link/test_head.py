@@ -1,6 +1,6 @@
 """A head is brought into service, kept alive, and brought back by itself after resets and faults."""
 
-from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
+from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
 from annulus.link.messages import (
     SCHEMA_HASH,
     Arm,
@@ -13,10 +13,14 @@ from annulus.link.messages import (
     Interlock,
     InterlockFlag,
     Ping,
+    Polarity,
     Preamble,
     Stage,
     StatusCode,
+    Wiring,
 )
+from annulus.link.phase import Phase
+from annulus.link.pins import pins_of
 from annulus.link.preamble import preamble_of
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import EdgeFlag, Lamp
@@ -406,3 +410,24 @@ def test_the_interval_is_counted_in_lamp_cycles() -> None:
     assert preamble_of(STAGE, 15, 0.0).interval == 0  # by order only
     assert preamble_of(STAGE, 15, 0.01).interval == 1
     assert preamble_of(STAGE, 15, 1e6).interval == 65535
+
+
+def test_pins_that_the_wiring_inverts_are_said_before_the_commit_and_read_back() -> None:
+    pins = pins_of("sync,led")
+    bench = Bench(HeadControl(STAGE, pins=pins))
+    bench.run(15)
+    assert bench.head.phase is Phase.RUNNING and bench.controller.inverted == pins.inverted
+    steps = [c for c in bench.commands() if c in (Stage, Polarity, Commit, Wiring)]
+    assert steps == [Stage, Polarity, Commit, Wiring]
+    bench.controller.reset()
+    bench.run(15)
+    assert bench.head.phase is Phase.RUNNING and bench.controller.inverted == pins.inverted
+
+
+def test_a_controller_that_cannot_invert_pins_is_armed_only_where_none_is_inverted() -> None:
+    old = Bench(HeadControl(STAGE, pins=pins_of("led")), ScriptedController(level=2))
+    old.run(400)
+    assert old.head.phase is Phase.REFUSED and "has no polarity" in old.head.problem and not old.controller.armed
+    plain = Bench(HeadControl(STAGE), ScriptedController(level=2))
+    plain.run(400)
+    assert plain.head.phase is Phase.RUNNING and plain.controller.armed

@@ -12,7 +12,7 @@ import pytest
 
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt, Decoder, Unknown, crc16
-from annulus.link.head import EdgeSeen, HeadControl, Phase
+from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import (
     LEVEL,
     BootCause,
@@ -26,6 +26,7 @@ from annulus.link.messages import (
     Status,
     TurntableDone,
 )
+from annulus.link.phase import Phase
 from annulus.link.session import Answer, EventReceived, EventsLost, Rebooted, Session, identify
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp

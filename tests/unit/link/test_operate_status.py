@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from annulus.link import operate
-from annulus.link.messages import Command, Configuration, Reply
+from annulus.link.messages import LEVEL, Command, Configuration, Reply
 from annulus.link.stage import stage_from_us
 from annulus.testing.heads import ScriptedHead, SimulatedHead
 from annulus.testing.scripted import ScriptedController
@@ -21,7 +21,7 @@ def test_what_is_in_force_is_read_back_and_shown_in_microseconds() -> None:
         assert operate.status(head.url)["configuration"] is None
         assert operate.configure(head.url, STAGE)["read_back"] is True
         said = operate.status(head.url)
-    assert (said["version"], said["serial_number"], said["level"]) == ("0.1.0", "0000000000000000", 3)
+    assert (said["version"], said["serial_number"], said["level"]) == ("0.1.0", "0000000000000000", LEVEL)
     assert (said["carrier"], said["vbus"], said["interlock"]) == (
         "unknown (VBUS not sensed)", "unknown", "closed (GP7)",
     )  # fmt: skip

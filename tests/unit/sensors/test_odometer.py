@@ -1,5 +1,7 @@
 """Promises about how far along the pipe."""
 
+from dataclasses import replace
+
 import pytest
 
 from annulus.sensors.odometer import EXPECT_NS, MAX_SPEED_MM_S, SAMPLE_NS, Odometer, Place
@@ -137,6 +139,30 @@ def test_counts_that_the_controller_lost_make_the_place_assumed_by_as_much() -> 
     hear(place, flash(1000, edge=50), 50 * PERIOD)
     assert place.here == Place(pytest.approx(50.0), 0, pytest.approx(0.7))
     assert not placed(place, flash(400, edge=20)).assumed  # long before
+
+
+def test_what_a_measurement_kept_from_being_counted_is_a_gap() -> None:
+    """The counts of its edges stand still while the head goes on: they used to be places like any other."""
+    place = travelled(1.0)
+    frozen = replace(flash(980, edge=50), flags=EdgeFlag.ODOMETER_FROZEN)
+    place.edge(frozen, 50 * PERIOD)
+    assert place.place(frozen) is None and place.gaps == 0
+    after = flash(980, edge=60)
+    assert hear(place, after, 60 * PERIOD) == pytest.approx(60.0, abs=0.1)  # gone on at 25 mm/s since edge 49
+    assert placed(place, after).segment == 1 and placed(place, after).bound_mm > MAX_SPEED_MM_S * 11 * PERIOD / 1e9
+    assert place.gaps == 1 and "measured its own pins" in str(place.gap)
+    assert hear(place, flash(1000, edge=61), 61 * PERIOD) == pytest.approx(61.0, abs=0.1)
+    place.edge(frozen, 50 * PERIOD)  # read again, late
+    hear(place, flash(1020, edge=62), 62 * PERIOD)
+    assert place.gaps == 1
+
+
+def test_a_boot_that_was_first_heard_while_it_measured_counts_from_later_on() -> None:
+    place = travelled(0.0)
+    place.edge(replace(flash(0, epoch=2), flags=EdgeFlag.ODOMETER_FROZEN), 50 * PERIOD)
+    assert placed(Odometer.recalled(place.remembered()), flash(0, edge=49)).segment == 0
+    assert hear(place, flash(400, epoch=2, edge=1, tick_s=0.05), 51 * PERIOD) == pytest.approx(0.0)
+    assert place.gaps == 1
 
 
 def test_zeroed_at_the_next_edge_and_frames_lit_before_keep_their_place() -> None:

@@ -5,8 +5,9 @@ import random
 import pytest
 
 from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.link.head import EdgeSeen, HeadControl, Phase
+from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import Identify, Stage, StatusCode
+from annulus.link.phase import Phase
 from annulus.link.session import Answer, EventsLost, Rebooted
 from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError, Lamp

@@ -2,6 +2,7 @@
 
 import pytest
 
+from annulus.link.pins import pins_of
 from annulus.twin.faults import Faults
 from annulus.twin.soak import soak
 from annulus.vocabulary import AnnulusError
@@ -38,3 +39,19 @@ def test_what_a_soak_cannot_run_is_refused() -> None:
         soak(50)
     with pytest.raises(AnnulusError, match="no such fault file"):
         soak(100, faults="bad-luck")
+
+
+def test_no_label_is_wrong_where_lamps_are_active_low_and_the_sync_rises() -> None:
+    result = soak(250, seed=5, faults="rough", pins=pins_of("sync,projector,led"))
+    assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
+
+
+def test_no_label_is_wrong_where_the_controller_triggers_a_camera_that_misses_some() -> None:
+    result = soak(250, seed=5, faults=Faults(sync_missing=0.01, sync_glitches=0.01, resets=(120,)), trigger="xtrig")
+    assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
+
+
+def test_no_label_is_wrong_where_an_interrupt_sets_the_sync_some_tens_of_us_late() -> None:
+    result = soak(250, seed=5, faults=Faults(sync_late_us=40.0, frames_dropped=0.02, resets=(120,)))
+    assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
+    assert "irregular edge" not in result["reasons"] or result["reasons"]["irregular edge"] <= 4
