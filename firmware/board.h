@@ -12,6 +12,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "core/messages.h"
+
 #define BOARD_WATCHDOG_MS 100U  // a main loop silent for this long is restarted
 #define BOARD_STARVED_MS 4U     // and for this long leaves the microwave dark, until it is armed again
 
@@ -31,6 +33,11 @@ uint8_t board_cause(void);
 
 // Eight ASCII characters, zero-padded.
 const uint8_t* board_name(void);
+
+// What carries the chip, BOARD_KIND_*, and whether there are 5 V at its USB socket, PRESENCE_*; unknown where nothing
+// tells for sure.
+uint8_t board_kind(void);
+uint8_t board_vbus(void);
 
 // Sixteen ASCII digits and a zero, different on every board.
 const uint8_t* board_serial_number(void);
@@ -278,14 +285,24 @@ static inline uint32_t board_on_end(const board_burst_t* const burst)
     return chips;
 }
 
-// Level of the interlock now.
-bool board_interlock_open(void);
+// Whether the interlock has a second input, antivalent to the first: closed = high. Not while the microwave is enabled.
+// After a reset it has none, and its pin is looked at by nobody.
+void board_interlock_watch(bool antivalent);
 
-// Did the interlock open since the last call, however briefly? If it was open for BOARD_INTERLOCK_SEEN_TICKS, hardware
-// has already cut the microwave and keeps it cut until board_microwave(true): within one chip and without the core.
-// What cuts looks at the pin every second to fourth tick, so that a shorter bounce may slip between two looks; its edge
-// is kept all the same, this function tells of it, and the core cuts in the same round: pulses until then are still
-// made.
+// What the inputs say now, INTERLOCK_*: that a second one is used, and which of them say open.
+uint8_t board_interlock(void);
+
+// One of the inputs says open.
+static inline bool board_interlock_open(void)
+{
+    return (board_interlock() & (INTERLOCK_OPEN | INTERLOCK_ANTIVALENT_OPEN)) != 0U;
+}
+
+// Did one of the inputs open since the last call, however briefly? If it was open for BOARD_INTERLOCK_SEEN_TICKS,
+// hardware has already cut the microwave and keeps it cut until board_microwave(true): within one chip and without the
+// core (the second input: for 13 ticks, and within two chips). What cuts looks at the pin every second to fourth tick,
+// so that a shorter bounce may slip between two looks; its edge is kept all the same, this function tells of it, and
+// the core cuts in the same round: pulses until then are still made.
 #define BOARD_INTERLOCK_SEEN_TICKS 4U
 bool board_interlock_tripped(void);
 

@@ -17,15 +17,17 @@ enum {
     PIN_ENABLE = 10,  // turntable ENABLE, low = on
     PIN_END_LOW = 11,  // turntable's lower end switch: closed = low, reached or broken = high
     PIN_END_HIGH = 12,  // turntable's upper end switch
+    PIN_INTERLOCK_ANTIVALENT = 13,  // second interlock input, looked at once configured: closed = high, open or broken = low
     PIN_ODOMETER_A = 14,  // quadrature A, four counts a cycle, A first counts up
     PIN_ODOMETER_B = 15,  // quadrature B
     PIN_CAMERA_TRIGGER = 16,  // trigger of a camera that takes one: lasts as long as it exposes
-    PIN_STATUS = 25,  // status light: something is armed
+    PIN_VBUS = 24,  // 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
+    PIN_STATUS = 25,  // status light: something is armed; on a Pico W it stays low, there is no light at this pin
     PIN_COUNT = 26,
 };
 
 // One bit a pin.
-#define INPUT_PINS 0x0000D884U
+#define INPUT_PINS 0x0100F884U
 #define OUTPUT_PINS 0x02010778U
 #define HIGH_AT_RESET_PINS 0x0000DC87U
 _Static_assert(PIN_LED == PIN_PROJECTOR + 1, "LED next to PROJECTOR: one state machine has both");

@@ -224,6 +224,19 @@ uint8_t execute_turntable_stop(controller_t* const self, reply_turntable_stop_t*
     return STATUS_OK;
 }
 
+uint8_t execute_interlock(controller_t* const self, const command_interlock_t* const command,
+                          reply_interlock_t* const reply)
+{
+    (void)reply;
+    return safety_interlock(self, command->inputs);
+}
+
+void holds_interlock(const controller_t* const self, reply_interlock_t* const reply)
+{
+    (void)self;
+    reply->inputs = board_interlock();
+}
+
 // ---- the board's own pins ----
 
 // The odometer pays for it: so nobody begins one on a head at work.

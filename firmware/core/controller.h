@@ -18,6 +18,13 @@
 // Where a controller goes that was told to stop.
 enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
 
+// Two inputs that must not contradict each other for long.
+typedef struct {
+    bool disagrees;   // as of the last round
+    uint32_t since;   // tick of the first round that found it so
+    bool distrusted;  // it lasted too long; until `clear` finds both closed
+} safety_interlock_t;
+
 typedef struct {
     link_t links[LINES];
     bool connected[LINES];  // at the last look
@@ -36,6 +43,7 @@ typedef struct {
     bool flash_busy;  // in this round
     uint8_t armed;    // ARM_*
     uint8_t fault;    // latched, FAULT_*
+    safety_interlock_t interlock;
     turntable_t turntable;
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t leaving_since;

@@ -26,6 +26,7 @@ typedef union {
     command_polarity_t polarity;
     command_camera_trigger_t camera_trigger;
     command_turntable_t turntable;
+    command_interlock_t interlock;
 } any_command_t;
 
 // Every reply begins with status and detail.
@@ -64,6 +65,8 @@ typedef union {
     reply_wiring_t wiring;
     reply_turntable_t turntable;
     reply_turntable_stop_t turntable_stop;
+    reply_interlock_t interlock;
+    reply_hardware_t hardware;
 } any_reply_t;
 
 // Index of the first field outside its range, or RANGE_OK.
@@ -149,6 +152,11 @@ static uint8_t unpack(any_command_t* const command, const uint8_t id, const uint
         return command_turntable_range(&command->turntable);
     case COMMAND_TURNTABLE_STOP:
         break;
+    case COMMAND_INTERLOCK:
+        command_interlock_unpack(&command->interlock, payload);
+        return command_interlock_range(&command->interlock);
+    case COMMAND_HARDWARE:
+        break;
     default:
         break;
     }
@@ -219,6 +227,10 @@ static uint8_t execute(controller_t* const self, const uint8_t id, const any_com
         return execute_turntable(self, &command->turntable, &reply->turntable);
     case COMMAND_TURNTABLE_STOP:
         return execute_turntable_stop(self, &reply->turntable_stop);
+    case COMMAND_INTERLOCK:
+        return execute_interlock(self, &command->interlock, &reply->interlock);
+    case COMMAND_HARDWARE:
+        return execute_hardware(self, &reply->hardware);
     default:
         break;
     }
@@ -331,6 +343,13 @@ static void pack(const controller_t* const self, const uint8_t id, any_reply_t* 
     case COMMAND_TURNTABLE_STOP:
         reply_turntable_stop_pack(&reply->turntable_stop, answer);
         break;
+    case COMMAND_INTERLOCK:
+        holds_interlock(self, &reply->interlock);
+        reply_interlock_pack(&reply->interlock, answer);
+        break;
+    case COMMAND_HARDWARE:
+        reply_hardware_pack(&reply->hardware, answer);
+        break;
     default:
         break;
     }
@@ -370,6 +389,8 @@ void dispatch(controller_t* const self, const uint8_t line, const command_t* con
         [COMMAND_WIRING] = NEEDS_NOTHING,
         [COMMAND_TURNTABLE] = NEEDS_SCHEMA,
         [COMMAND_TURNTABLE_STOP] = NEEDS_NOTHING,
+        [COMMAND_INTERLOCK] = NEEDS_SCHEMA,
+        [COMMAND_HARDWARE] = NEEDS_NOTHING,
     };
     const uint8_t id = command->layout->id;
     any_command_t fields;

@@ -55,5 +55,8 @@ uint8_t execute_wiring(controller_t* self, reply_wiring_t* reply);
 uint8_t execute_turntable(controller_t* self, const command_turntable_t* command, reply_turntable_t* reply);
 void holds_turntable(const controller_t* self, reply_turntable_t* reply);
 uint8_t execute_turntable_stop(controller_t* self, reply_turntable_stop_t* reply);
+uint8_t execute_interlock(controller_t* self, const command_interlock_t* command, reply_interlock_t* reply);
+void holds_interlock(const controller_t* self, reply_interlock_t* reply);
+uint8_t execute_hardware(controller_t* self, reply_hardware_t* reply);
 
 #endif

@@ -94,9 +94,15 @@ static bool latches(const uint8_t fault)
            (fault != FAULT_ODOMETER);
 }
 
+// The known one that is nearest to a latched one that was added: what its host then does is right for both.
+static uint8_t nearest(const uint8_t fault)
+{
+    return (fault == FAULT_INTERLOCK_DISAGREES) ? FAULT_INTERLOCK : FAULT_LIMIT;
+}
+
 uint8_t events_fault_at_level(const uint8_t fault, const uint8_t level)
 {
-    return (fault_since(fault) > level) ? FAULT_LIMIT : fault;
+    return (fault_since(fault) > level) ? nearest(fault) : fault;
 }
 
 event_t events_at_level(const event_t* const event, const uint8_t level)
@@ -114,7 +120,7 @@ event_t events_at_level(const event_t* const event, const uint8_t level)
         event_fault_unpack(&fault, event->payload);
         if (fault_since(fault.fault) > level) {
             fault.detail = fault.fault;
-            fault.fault = latches(fault.fault) ? FAULT_LIMIT : FAULT_NONE;
+            fault.fault = latches(fault.fault) ? nearest(fault.fault) : FAULT_NONE;
             event_fault_pack(&fault, said.payload);
         }
     } else if (event->id == EVENT_EDGE) {

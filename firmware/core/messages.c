@@ -1012,6 +1012,56 @@ void reply_turntable_stop_unpack(reply_turntable_stop_t* const self, const uint8
     self->position = (int32_t)get32(payload + 2);
 }
 
+void command_interlock_pack(const command_interlock_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->inputs);
+}
+
+void command_interlock_unpack(command_interlock_t* const self, const uint8_t* const payload)
+{
+    self->inputs = get8(payload + 0);
+}
+
+uint8_t command_interlock_range(const command_interlock_t* const self)
+{
+    if (self->inputs > 1U) {
+        return 0U;
+    }
+    return RANGE_OK;
+}
+
+void reply_interlock_pack(const reply_interlock_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->inputs);
+}
+
+void reply_interlock_unpack(reply_interlock_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->inputs = get8(payload + 2);
+}
+
+void reply_hardware_pack(const reply_hardware_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->board);
+    put8(payload + 3, self->vbus);
+    put8(payload + 4, self->interlock);
+}
+
+void reply_hardware_unpack(reply_hardware_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->board = get8(payload + 2);
+    self->vbus = get8(payload + 3);
+    self->interlock = get8(payload + 4);
+}
+
 void event_edge_pack(const event_edge_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, self->edge);
@@ -1215,6 +1265,10 @@ static const layout_t layouts[] = {
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
     {0x53, 6, 0x5F, 0, 2},  // reply turntable_stop
+    {0x1D, 1, 0xCD, 0, 3},  // command interlock
+    {0x5D, 3, 0x55, 0, 3},  // reply interlock
+    {0x1E, 0, 0x69, 1, 3},  // command hardware
+    {0x5E, 5, 0x96, 0, 3},  // reply hardware
     {0x80, 24, 0x15, 0, 1},  // event edge
     {0x81, 8, 0x61, 0, 1},  // event sync_lost
     {0x82, 8, 0x32, 0, 1},  // event sync_found
@@ -1252,7 +1306,10 @@ uint8_t fault_since(const uint8_t fault)
     if (fault == FAULT_ODOMETER) {
         return 2U;
     }
+    if (fault == FAULT_INTERLOCK_DISAGREES) {
+        return 3U;
+    }
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x9F, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0xFF, 0x00, 0x00, 0x00, 0x00};

@@ -21,6 +21,7 @@
 #define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
 #define UPDATE_MAX_BYTES 65536U  // largest application: a slot of flash
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
+#define INTERLOCK_DISAGREE_MS 5U  // two interlock inputs may contradict each other for so long: a relay's contacts
 #define PREAMBLE_MAX 63U  // edges of a preamble
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
 #define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
@@ -74,6 +75,7 @@ enum {
     FAULT_EVENT_OVERRUN = 5,
     FAULT_LIMIT = 6,
     FAULT_ODOMETER = 7,
+    FAULT_INTERLOCK_DISAGREES = 8,
 };
 
 enum {
@@ -117,6 +119,18 @@ enum {
     PART_TRANSMIT = 7,
     PART_USB = 8,
     PART_SLEEP = 9,
+};
+
+enum {
+    BOARD_KIND_UNKNOWN = 0,
+    BOARD_KIND_PICO = 1,
+    BOARD_KIND_PICO_W = 2,
+};
+
+enum {
+    PRESENCE_UNKNOWN = 0,
+    PRESENCE_ABSENT = 1,
+    PRESENCE_PRESENT = 2,
 };
 
 enum {
@@ -181,6 +195,18 @@ static inline uint32_t state_flags_at_level(const uint8_t level)
 static inline uint32_t turntable_flags_at_level(const uint8_t level)
 {
     if (level < 2U) {
+        return 0U;
+    }
+    return 7U;
+}
+
+#define INTERLOCK_ANTIVALENT 1U
+#define INTERLOCK_OPEN 2U
+#define INTERLOCK_ANTIVALENT_OPEN 4U
+// Of the flags of `interlock`, those that a host of this level knows.
+static inline uint32_t interlock_flags_at_level(const uint8_t level)
+{
+    if (level < 3U) {
         return 0U;
     }
     return 7U;
@@ -265,6 +291,10 @@ enum {
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
     REPLY_TURNTABLE_STOP = 0x53,
+    COMMAND_INTERLOCK = 0x1D,
+    REPLY_INTERLOCK = 0x5D,
+    COMMAND_HARDWARE = 0x1E,
+    REPLY_HARDWARE = 0x5E,
     EVENT_EDGE = 0x80,
     EVENT_SYNC_LOST = 0x81,
     EVENT_SYNC_FOUND = 0x82,
@@ -895,6 +925,41 @@ typedef struct {
 } reply_turntable_stop_t;
 void reply_turntable_stop_pack(const reply_turntable_stop_t* self, uint8_t* payload);
 void reply_turntable_stop_unpack(reply_turntable_stop_t* self, const uint8_t* payload);
+
+// Which inputs the interlock has. With a second, antivalent one it is open when either says so, and a contradiction of over `interlock_disagree_ms` is a fault of its own. Refused while anything is armed or moves. After a reset: GP7 alone.
+#define COMMAND_INTERLOCK_LENGTH 1U
+typedef struct {
+    uint8_t inputs;  // antivalent or 0
+} command_interlock_t;
+void command_interlock_pack(const command_interlock_t* self, uint8_t* payload);
+void command_interlock_unpack(command_interlock_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_interlock_range(const command_interlock_t* self);
+
+// Answer to interlock.
+#define REPLY_INTERLOCK_LENGTH 3U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t inputs;  // in force, and what they say now
+} reply_interlock_t;
+void reply_interlock_pack(const reply_interlock_t* self, uint8_t* payload);
+void reply_interlock_unpack(reply_interlock_t* self, const uint8_t* payload);
+
+// What the controller finds about itself on its board; changes nothing.
+#define COMMAND_HARDWARE_LENGTH 0U
+
+// Answer to hardware.
+#define REPLY_HARDWARE_LENGTH 5U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t board;
+    uint8_t vbus;  // 5 V at the USB socket; unknown where nothing senses it
+    uint8_t interlock;
+} reply_hardware_t;
+void reply_hardware_pack(const reply_hardware_t* self, uint8_t* payload);
+void reply_hardware_unpack(reply_hardware_t* self, const uint8_t* payload);
 
 // An accepted falling edge, and what was loaded to fire after it.
 #define EVENT_EDGE_LENGTH 24U

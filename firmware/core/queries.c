@@ -199,6 +199,13 @@ uint8_t execute_health(controller_t* const self, reply_health_t* const reply)
     return STATUS_OK;
 }
 
+uint8_t execute_hardware(controller_t* const self, reply_hardware_t* const reply)
+{
+    (void)self;
+    *reply = (reply_hardware_t){.board = board_kind(), .vbus = board_vbus(), .interlock = board_interlock()};
+    return STATUS_OK;
+}
+
 uint8_t execute_reread(controller_t* const self, const command_reread_t* const command, reply_reread_t* const reply)
 {
     return events_reread(&self->events, &self->rereads[self->asking], command, reply);

@@ -46,6 +46,42 @@ void safety_insist(controller_t* const self, const bool accepted, const uint32_t
     }
 }
 
+// One input open and the other closed is a relay that changes over, for as long as its contacts take. What lasts longer
+// is a wire, a short or a welded contact. Where a fault is latched already it stays the first cause: this is told, and
+// holds up `clear` as well.
+static void watch_interlock(controller_t* const self, const uint32_t now)
+{
+    safety_interlock_t* const interlock = &self->interlock;
+    const uint8_t inputs = board_interlock();
+    const bool first = (inputs & INTERLOCK_OPEN) != 0U;
+    const bool second = (inputs & INTERLOCK_ANTIVALENT_OPEN) != 0U;
+    const bool disagreed = interlock->disagrees;
+    interlock->disagrees = ((inputs & INTERLOCK_ANTIVALENT) != 0U) && (first != second);
+    if (!disagreed) {
+        interlock->since = now;
+    }
+    if (!interlock->disagrees || interlock->distrusted ||
+        (ticks_since(now, interlock->since) <= (int32_t)(INTERLOCK_DISAGREE_MS * TICKS_PER_MS))) {
+        return;
+    }
+    interlock->distrusted = true;
+    if (self->fault == FAULT_NONE) {
+        safety_trip(self, FAULT_INTERLOCK_DISAGREES, inputs);
+    } else {
+        events_fault(&self->events, now, FAULT_INTERLOCK_DISAGREES, inputs);
+    }
+}
+
+uint8_t safety_interlock(controller_t* const self, const uint8_t inputs)
+{
+    if ((self->armed != 0U) || self->turntable.moving) {
+        return STATUS_BAD_STATE;
+    }
+    board_interlock_watch((inputs & INTERLOCK_ANTIVALENT) != 0U);
+    self->interlock = (safety_interlock_t){.disagrees = false};
+    return STATUS_OK;
+}
+
 static int32_t host_timeout_ticks(const controller_t* const self)
 {
     const uint32_t ms = self->sequencer.config.host_timeout;
@@ -60,6 +96,7 @@ void safety_run(controller_t* const self, const uint32_t now)
     if (tripped && (live || self->turntable.hold)) {
         safety_trip(self, FAULT_INTERLOCK, 0U);
     }
+    watch_interlock(self, now);
     if ((self->fault != FAULT_NONE) || !live) {
         return;
     }
@@ -96,9 +133,12 @@ uint8_t safety_arm(controller_t* const self, const uint8_t outputs)
 
 uint8_t safety_clear(controller_t* const self)
 {
-    if ((self->fault == FAULT_INTERLOCK) && board_interlock_open()) {
+    const bool of_interlock =
+        (self->fault == FAULT_INTERLOCK) || (self->fault == FAULT_INTERLOCK_DISAGREES) || self->interlock.distrusted;
+    if (of_interlock && board_interlock_open()) {
         return STATUS_UNSAFE;
     }
+    self->interlock.distrusted = false;
     self->fault = FAULT_NONE;
     return STATUS_OK;
 }

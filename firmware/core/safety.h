@@ -18,6 +18,9 @@ void safety_run(controller_t* self, uint32_t now);
 // Absolute. A status; refused, nothing changes.
 uint8_t safety_arm(controller_t* self, uint8_t outputs);
 
+// Which inputs the interlock has, INTERLOCK_ANTIVALENT or 0. A status; refused, nothing changes.
+uint8_t safety_interlock(controller_t* self, uint8_t inputs);
+
 // A status; unsafe while the cause lasts.
 uint8_t safety_clear(controller_t* self);
 

@@ -51,6 +51,7 @@ void pinuse_drive(uint8_t pin, uint8_t level);  // as if no pin were inverted
 uint8_t pinuse_driven(uint8_t pin);             // how it was last driven
 uint8_t pinuse_seen(uint8_t pin);               // an input as the controller sees it
 bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
+bool pinuse_opens_interlock(uint8_t pin, uint8_t level);
 
 void identity_begin(void);
 void identity_start(uint8_t boot, uint8_t cause);

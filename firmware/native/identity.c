@@ -42,6 +42,16 @@ const uint8_t* board_serial_number(void)
     return digits;
 }
 
+uint8_t board_kind(void)
+{
+    return BOARD_KIND_UNKNOWN;
+}
+
+uint8_t board_vbus(void)
+{
+    return PRESENCE_UNKNOWN;
+}
+
 const uint8_t* board_name(void)
 {
     static const uint8_t name[8] = "native";

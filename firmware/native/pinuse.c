@@ -9,6 +9,7 @@
 static native_transition_t transitions[TRANSITIONS_MAX];  // ring
 static size_t transition_first;
 static size_t transition_count;
+static bool antivalent;  // the interlock has a second input
 static bool interlock_tripped;
 static uint8_t ends_watched;
 static uint8_t ends_touched;
@@ -138,9 +139,16 @@ void pinuse_start(void)
             pinuse_drive(pin, (HIGH_AT_RESET_PINS >> pin) & 1U);
         }
     }
+    antivalent = false;
     interlock_tripped = false;
     ends_watched = 0;
     ends_touched = 0;
+}
+
+bool pinuse_opens_interlock(const uint8_t pin, const uint8_t level)
+{
+    return ((pin == PIN_INTERLOCK) && (level == 1U)) ||
+           (antivalent && (pin == PIN_INTERLOCK_ANTIVALENT) && (level == 0U));
 }
 
 bool pinuse_input(const uint8_t pin, const uint8_t level)
@@ -151,7 +159,7 @@ bool pinuse_input(const uint8_t pin, const uint8_t level)
     if (changed) {
         measure_after(pin, pinuse_seen(pin));
     }
-    if (world.powered && changed && (pin == PIN_INTERLOCK) && (level == 1U)) {
+    if (world.powered && changed && pinuse_opens_interlock(pin, level)) {
         interlock_tripped = true;
     }
     if (world.powered && changed && (level == 1U)) {
@@ -177,10 +185,20 @@ uint8_t board_turntable_reached(void)
     return ends_watched & (touched | now);
 }
 
-bool board_interlock_open(void)
+void board_interlock_watch(const bool second)
+{
+    time_pass();
+    antivalent = second;
+    interlock_tripped = false;
+}
+
+uint8_t board_interlock(void)
 {
     time_look();
-    return world.levels[PIN_INTERLOCK] == 1U;
+    const bool first_open = world.levels[PIN_INTERLOCK] == 1U;
+    const bool second_open = antivalent && (world.levels[PIN_INTERLOCK_ANTIVALENT] == 0U);
+    return (uint8_t)((antivalent ? INTERLOCK_ANTIVALENT : 0U) | (first_open ? INTERLOCK_OPEN : 0U) |
+                     (second_open ? INTERLOCK_ANTIVALENT_OPEN : 0U));
 }
 
 bool board_interlock_tripped(void)

@@ -47,7 +47,7 @@ static void apply_input(void)
         lamps_edge();
         time_wake();
     }
-    if ((input.pin == PIN_INTERLOCK) && (input.level == 1U)) {
+    if (pinuse_opens_interlock(input.pin, input.level)) {
         microwave_cut();
         time_wake();
     }

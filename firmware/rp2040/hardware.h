@@ -12,7 +12,7 @@
 // In the order in which they must be called after reset.
 void identity_start(void);
 void reset_start(void);   // the watchdog
-void pinuse_start(void);  // pins at rest
+void pinuse_start(void);  // pins at rest, and which board this is
 void lines_start(void);   // the UART
 void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
@@ -45,6 +45,17 @@ bool staging_is_idle(void);   // nobody is waiting for the flash
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
 
+// GUARD, which cuts the microwave (guard.c): loaded and cutting; let go, with a credit; another credit when one was
+// taken; made to cut; with a second input of the interlock or without, while it cuts. When it cut by its own count, and
+// whether for want of a credit: not while a machine that drives the pins runs.
+void guard_load(void);
+void guard_start(void);
+void guard_feed(void);
+void guard_cut(void);
+void guard_watch(bool antivalent);
+bool guard_is_cutting(void);
+uint32_t guard_cut_tick(bool* starved);
+
 // A train is to end, and every round tries to find the moment for it.
 bool microwave_hurries(void);
 
@@ -52,6 +63,9 @@ bool microwave_hurries(void);
 // ended.
 #define SCRATCH_MAGIC 0x616E6E00U
 #define SCRATCH_BY_HOST 1U
+
+// An interlock or VBUS went since this was last asked: the round under way may have looked before.
+bool pinuse_hurries(void);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
@@ -66,6 +80,14 @@ uint32_t odometer_now(void);
 int32_t odometer_decode(uint32_t until);
 const quadrature_t* odometer_state(void);
 volatile uint32_t* odometer_lend(void);
+
+// Which board carries the chip. VBUS: never gone where nothing senses it; once it was, however briefly, gone until
+// `variant_vbus_back` is asked and it is there. From the pins' interrupt: an edge of it.
+void variant_prepare(void);  // first of all: a divider has to settle
+void variant_start(void);
+void variant_vbus_edge(bool fell);
+bool variant_vbus(void);
+bool variant_vbus_back(void);
 
 // Around what must not be interrupted; never nested.
 static inline void interrupts_off(void)
@@ -112,6 +134,7 @@ size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);
 bool usb_has_received(void);
 void usb_run(void);
+void usb_let_go(void);     // D+, at once: from an interrupt
 uint32_t usb_hangs(void);  // so often the device controller hung and was reset
 
 // Who owns which DMA channel and PIO machine.
@@ -134,6 +157,10 @@ void lamps_follow(uint32_t pin);
 
 // Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
+enum { GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_SPENT = 7, GUARD_CUT = 11 };
+#define START_OFFSET 24U      // from the tick read before a machine of PIO1 starts to its first level
 #define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
+#define ODOMETER_PROGRAM_LENGTH 7U
+#define MEASURE_PROGRAM 26U  // in PIO1, at the end
 
 #endif

@@ -89,6 +89,7 @@ const uint8_t* board_serial_number(void)
 
 void identity_start(void)
 {
+    variant_prepare();  // settles while random bits are waited for
     nonce = random_16();
     nonce = (nonce << 16) | random_16();
     find_cause();

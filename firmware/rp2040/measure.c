@@ -12,7 +12,6 @@
 #include "hardware.h"
 #include "registers.h"
 
-#define MEASURE_PROGRAM 26U  // in PIO1, at the end
 #define LOOK_BYTES (4U * BOARD_LOOK_WORDS)
 _Static_assert(2U * LOOK_BYTES == ODOMETER_RING_BYTES, "two looks fill the odometer's ring");
 

@@ -11,10 +11,7 @@
 // no room for that at the end of a list (a trigger right before the next burst; over 126 pulses a burst) the list
 // begins with the end of its last pulse instead; with over 126 pulses that is one burst earlier, so one more is sent.
 //
-// GUARD waits for the interlock to open, or for its credit to run out, and then drives gate and trigger low in every
-// cycle; of several machines that write a pin in one cycle the highest-numbered wins (datasheet 3.5.6.1), so nothing
-// the others do is seen any more. A credit is 2 ms of time; the main loop lays out the next one when the last has been
-// taken. So a main loop that stands still leaves both pins low 4 ms later at most, long before the watchdog bites.
+// GUARD, the machine that cuts whatever the others do, is guard.c's; the words of its program lie behind PLAY's.
 
 #include "../board.h"
 #include "../core/messages.h"
@@ -23,7 +20,7 @@
 #include "../pins.h"
 #include "registers.h"
 
-enum { PLAY = 0, GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_CUT = 11, PROGRAM_LENGTH = 12 };
+enum { PLAY = 0, PROGRAM_LENGTH = 12 };
 
 static const uint16_t program[PROGRAM_LENGTH] = {
     [PLAY] = PULL,  // wraps from 3 to 0
@@ -33,7 +30,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     [GUARD_TAKE] = MOV_X_OSR,
     [GUARD_WATCH] = JMP_PIN(GUARD_CUT),  // the interlock: looked at every fourth cycle at least
     JMP_X_DEC(GUARD_WATCH),
-    PULL_NO_BLOCK,  // the next credit, or X again
+    [GUARD_SPENT] = PULL_NO_BLOCK,  // the next credit, or X again
     JMP_PIN(GUARD_CUT),
     MOV_Y_OSR,
     JMP_X_NOT_Y(GUARD_TAKE),
@@ -50,20 +47,14 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define TAIL_TICKS (FIFO_WORDS * PIECE_TICKS + PIECE_TICKS)  // low at a list's end, to be cut into short words
 #define COMMIT_TICKS                                                                                                   \
     48  // from the tick read before the first words are written until they are; and what DMA may be late
-#define LEAD_TICKS 200U                         // from the start to the first thing that may happen
-#define START_OFFSET 24U                        // from the tick read before the machines start to their first level
-#define CREDIT 100000U                          // what GUARD counts down, once in two ticks
-#define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
-#define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
+#define LEAD_TICKS 200U  // from the start to the first thing that may happen
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
 static volatile uint32_t trigger_list[LIST_MIN] __attribute__((aligned(4U * LIST_MIN)));
 
 static struct {
     bool enabled;
-    bool starved;      // cut because no credit came
-    uint32_t guarded;  // tick at which GUARD took its first credit
-    uint32_t credits;  // laid out since, the first one not counted
+    bool starved;  // cut because no credit came
     bool running;
     bool stopping;
     uint16_t done;
@@ -90,55 +81,12 @@ static void execute(const uint32_t machine, const uint32_t instruction)
     REGISTER(PIO_INSTRUCTION(PIO1, machine)) = instruction;
 }
 
-static bool is_guard_cutting(void)
-{
-    return REGISTER(PIO_ADDRESS(PIO1, GUARD_MACHINE)) == GUARD_CUT;
-}
-
-static uint32_t credits_waiting(void)
-{
-    return (REGISTER(PIO_FLEVEL(PIO1)) >> (8U * GUARD_MACHINE)) & 0xFU;
-}
-
-static void lay_out_credit(void)
-{
-    REGISTER(PIO_TX(PIO1, GUARD_MACHINE)) = CREDIT;
-    train.credits++;
-}
-
 void board_microwave_feed(void)
 {
-    if (train.enabled && (credits_waiting() == 0U)) {
-        lay_out_credit();
+    if (train.enabled) {
+        guard_feed();
     }
     duty_run(&owed, board_tick());
-}
-
-static void start_guard(void)
-{
-    for (uint32_t i = 0; i < 4U; i++) {
-        execute(GUARD_MACHINE, PULL_NO_BLOCK);  // credits left from before
-    }
-    lay_out_credit();
-    execute(GUARD_MACHINE, PULL_NO_BLOCK);
-    execute(GUARD_MACHINE, MOV_X_OSR);
-    train.credits = 0;
-    lay_out_credit();
-    // One tick more: forced upon a machine that runs, it is carried out in the cycle after.
-    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH)) + START_OFFSET + 1U;
-}
-
-// When GUARD cut, by its own count, and why.
-static uint32_t cut_tick(bool* const starved)
-{
-    execute(GUARD_MACHINE, MOV_ISR_X);
-    execute(GUARD_MACHINE, PUSH_NO_BLOCK);
-    const uint32_t left = REGISTER(PIO_RX(PIO1, GUARD_MACHINE));
-    const uint32_t taken = train.credits - credits_waiting();
-    *starved = left == CREDIT_GONE;
-    const uint32_t tick = train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
-    const uint32_t now = board_tick();  // cut while it changed from one credit to the next, its count is of neither
-    return tick_is_past(tick, now) ? now : tick;
 }
 
 void dma_stop(const uint32_t channel)
@@ -217,11 +165,11 @@ static void try_to_end(void)
 static void follow_train(void)
 {
     const uint32_t looked = board_tick();  // before the guard is looked at: up to here it had not cut
-    const bool cut = train.enabled && is_guard_cutting();
+    const bool cut = train.enabled && guard_is_cutting();
     if (cut) {
         halt_players();
     }
-    const uint32_t now = cut ? cut_tick(&train.starved) : looked;  // what went on after the cut was dark
+    const uint32_t now = cut ? guard_cut_tick(&train.starved) : looked;  // what went on after the cut was dark
     if (train.running) {
         charge_until(now);
         begin_until(now);
@@ -243,22 +191,17 @@ static void follow_train(void)
 void board_microwave(const bool enabled)
 {
     const bool on = enabled && !board_interlock_open();
-    const bool was_cut = is_guard_cutting();
+    const bool was_cut = guard_is_cutting();
     if (!on && was_cut) {
         halt_players();
     } else if (!on) {
-        // Before the train is followed: GUARD counts when it cuts. Nothing is forced upon one that may be cutting: the
-        // word that it comes by every second tick, or after ten, sends it there.
-        REGISTER(PIO_MEMORY(PIO1, GUARD_WATCH)) = JMP(GUARD_CUT);
-        while (!is_guard_cutting()) {
-        }
-        REGISTER(PIO_MEMORY(PIO1, GUARD_WATCH)) = program[GUARD_WATCH];
+        guard_cut();  // before the train is followed: GUARD counts when it cuts
     }
     follow_train();
     train.starved = train.starved && was_cut;
     train.enabled = on;
     if (on) {
-        start_guard();
+        guard_start();
     } else {
         stop_players();
     }
@@ -483,8 +426,5 @@ void microwave_start(void)
         execute(machine, SET_DIRECTIONS(1U));
         execute(machine, JMP(PLAY));
     }
-    REGISTER(PIO_EXECCTRL(PIO1, GUARD_MACHINE)) = EXEC_JUMP_PIN(PIN_INTERLOCK) | EXEC_WRAP(GUARD_CUT, GUARD_CUT);
-    REGISTER(PIO_PINCTRL(PIO1, GUARD_MACHINE)) = PINS_SET(PIN_MICROWAVE, 2U);  // and the trigger next to it
-    execute(GUARD_MACHINE, JMP(GUARD_CUT));
-    SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(GUARD_MACHINE);
+    guard_load();
 }

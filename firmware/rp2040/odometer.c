@@ -60,7 +60,7 @@ static void start_channels(void)
 
 void odometer_start(void)
 {
-    static const uint16_t counter[] = {
+    static const uint16_t counter[ODOMETER_PROGRAM_LENGTH] = {
         MOV_ISR_NULL,  IN_PINS(2U),           MOV_X_ISR, JMP_X_NOT_Y(ODOMETER_PROGRAM + 4U), MOV_Y_X,
         PUSH_NO_BLOCK, JMP(ODOMETER_PROGRAM),
     };

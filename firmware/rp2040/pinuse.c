@@ -22,10 +22,14 @@ static uint8_t gates_driven;
 static uint8_t gates_inverted;  // those of the driven ones
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
+static volatile bool hurried;
+static bool antivalent;  // the interlock has a second input
 static volatile uint32_t ends_touched;
 
 #define END_LOW EDGE_HIGH(PIN_END_LOW - 8U)  // as pins 8..15 tell their edges
 #define END_HIGH EDGE_HIGH(PIN_END_HIGH - 8U)
+#define VBUS_EDGES (EDGE_LOW(PIN_VBUS - 24U) | EDGE_HIGH(PIN_VBUS - 24U))
+#define ANTIVALENT_LOW EDGE_LOW(PIN_INTERLOCK_ANTIVALENT - 8U)
 
 void pin_use(const uint32_t pin, const uint32_t function, const uint32_t pad)
 {
@@ -99,10 +103,28 @@ void pins_handler(void)
     }
     if ((edges & EDGE_HIGH(PIN_INTERLOCK)) != 0U) {
         interlock_opened = true;
+        hurried = true;
     }
-    const uint32_t ends = REGISTER(IO_INTR1) & (END_LOW | END_HIGH);
-    REGISTER(IO_INTR1) = ends;
-    ends_touched = ends_touched | ends;
+    const uint32_t others = REGISTER(IO_INTR1) & (END_LOW | END_HIGH | ANTIVALENT_LOW);
+    REGISTER(IO_INTR1) = others;
+    ends_touched = ends_touched | (others & (END_LOW | END_HIGH));
+    const uint32_t vbus = REGISTER(IO_INTR3) & VBUS_EDGES;
+    if (vbus != 0U) {
+        REGISTER(IO_INTR3) = vbus;
+        hurried = true;
+        variant_vbus_edge((vbus & EDGE_LOW(PIN_VBUS - 24U)) != 0U);
+    }
+    if (antivalent && ((others & ANTIVALENT_LOW) != 0U)) {
+        interlock_opened = true;
+        hurried = true;
+    }
+}
+
+bool pinuse_hurries(void)
+{
+    const bool due = hurried;
+    hurried = false;
+    return due;
 }
 
 uint32_t pinuse_sync_edges(const uint32_t accepted)
@@ -123,9 +145,24 @@ void pinuse_count_sync(const bool counts)
     REGISTER(IO_PROC0_INTE0) = edges;
 }
 
-bool board_interlock_open(void)
+void board_interlock_watch(const bool second)
 {
-    return ((REGISTER(SIO_GPIO_IN) >> PIN_INTERLOCK) & 1U) != 0U;
+    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    antivalent = second;
+    interlock_opened = false;
+    REGISTER(IO_INTR1) = ANTIVALENT_LOW;
+    REGISTER(IO_PROC0_INTE1) = (REGISTER(IO_PROC0_INTE1) & (END_LOW | END_HIGH)) | (second ? ANTIVALENT_LOW : 0U);
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    guard_watch(second);
+}
+
+uint8_t board_interlock(void)
+{
+    const uint32_t levels = REGISTER(SIO_GPIO_IN);
+    const bool first_open = ((levels >> PIN_INTERLOCK) & 1U) != 0U;
+    const bool second_open = antivalent && (((levels >> PIN_INTERLOCK_ANTIVALENT) & 1U) == 0U);
+    return (uint8_t)((antivalent ? INTERLOCK_ANTIVALENT : 0U) | (first_open ? INTERLOCK_OPEN : 0U) |
+                     (second_open ? INTERLOCK_ANTIVALENT_OPEN : 0U));
 }
 
 bool board_interlock_tripped(void)
@@ -142,7 +179,7 @@ void board_turntable_watch(const uint8_t switches)
 {
     const uint32_t edges = (((switches & TURNTABLE_END_LOW) != 0U) ? END_LOW : 0U) |
                            (((switches & TURNTABLE_END_HIGH) != 0U) ? END_HIGH : 0U);
-    REGISTER(IO_PROC0_INTE1) = edges;
+    REGISTER(IO_PROC0_INTE1) = edges | (antivalent ? ANTIVALENT_LOW : 0U);
     REGISTER(IO_INTR1) = END_LOW | END_HIGH;
     ends_touched = 0;
 }
@@ -154,7 +191,7 @@ uint8_t board_turntable_reached(void)
     ends_touched = 0;
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
     const uint32_t levels = REGISTER(SIO_GPIO_IN);
-    const uint32_t watched = REGISTER(IO_PROC0_INTE1);
+    const uint32_t watched = REGISTER(IO_PROC0_INTE1);  // of the interlock too, which is none of these bits
     const bool low = ((touched & END_LOW) != 0U) || (((levels >> PIN_END_LOW) & 1U) != 0U);
     const bool high = ((touched & END_HIGH) != 0U) || (((levels >> PIN_END_HIGH) & 1U) != 0U);
     return (uint8_t)(((low && ((watched & END_LOW) != 0U)) ? TURNTABLE_END_LOW : 0U) |
@@ -163,7 +200,8 @@ uint8_t board_turntable_reached(void)
 
 void board_status_light(const bool on)
 {
-    REGISTER(on ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_STATUS;
+    const bool lit = on && (board_kind() != BOARD_KIND_PICO_W);  // there it is the radio's select line
+    REGISTER(lit ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_STATUS;
 }
 
 void pinuse_start(void)
@@ -177,7 +215,13 @@ void pinuse_start(void)
     pin_use(PIN_STATUS, FUNCTION_SIO, PAD_DRIVE_4MA | PAD_PULL_DOWN);
     pin_use(PIN_SYNC, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
     pin_use(PIN_INTERLOCK, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
+    pin_use(PIN_INTERLOCK_ANTIVALENT, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_DOWN);
     REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
     REGISTER(IO_PROC0_INTE0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
+    variant_start();
+    if (board_kind() == BOARD_KIND_PICO) {
+        REGISTER(IO_INTR3) = VBUS_EDGES;
+        REGISTER(IO_PROC0_INTE3) = VBUS_EDGES;
+    }
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
 }

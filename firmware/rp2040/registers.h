@@ -27,6 +27,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 // ---- clocks, resets (2.14 to 2.18) ----
 #define RESETS_RESET 0x4000C000U
 #define RESETS_DONE 0x4000C008U
+#define RESET_ADC (1U << 0)
 #define RESET_DMA (1U << 2)
 #define RESET_IO_BANK0 (1U << 5)
 #define RESET_IO_QSPI (1U << 6)
@@ -52,6 +53,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define CLK_SYS_SELECTED 0x40008044U
 #define CLK_PERI_CTRL 0x40008048U
 #define CLK_USB_CTRL 0x40008054U
+#define CLK_ADC_CTRL 0x40008060U
 
 #define PLL_SYS 0x40028000U
 #define PLL_USB 0x4002C000U
@@ -98,9 +100,12 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define IO_PROC0_INTE0 0x40014100U
 #define IO_INTR1 0x400140F4U  // the same of pins 8..15
 #define IO_PROC0_INTE1 0x40014104U
+#define IO_INTR3 0x400140FCU  // of pins 24..29
+#define IO_PROC0_INTE3 0x4001410CU
 #define EDGE_LOW(pin) (4U << (4U * (pin)))
 #define EDGE_HIGH(pin) (8U << (4U * (pin)))
 #define PAD(pin) (0x4001C004U + 4U * (pin))
+#define PAD_OUTPUT_DISABLE 0x80U
 #define PAD_INPUT 0x40U
 #define PAD_DRIVE_4MA 0x10U
 #define PAD_PULL_UP 0x08U
@@ -110,6 +115,14 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define SIO_GPIO_OUT_SET 0xD0000014U
 #define SIO_GPIO_OUT_CLEAR 0xD0000018U
 #define SIO_GPIO_OE_SET 0xD0000024U
+
+// ---- ADC (4.9) ----
+#define ADC_CS 0x4004C000U
+#define ADC_RESULT 0x4004C004U
+#define ADC_ENABLE (1U << 0)
+#define ADC_START_ONCE (1U << 2)
+#define ADC_READY (1U << 8)
+#define ADC_INPUT(input) ((uint32_t)(input) << 12)
 
 // ---- UART (4.2) ----
 #define UART_DR 0x40034000U
@@ -142,6 +155,7 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define USB_MAIN_CTRL 0x50110040U
 #define USB_SOF_RD 0x50110048U  // number of the last frame
 #define USB_SIE_CTRL 0x5011004CU
+#define SIE_PULL_UP (1U << 16)  // D+: a device is there
 #define USB_SIE_STATUS 0x50110050U
 #define SIE_SUSPENDED (1U << 4)
 #define SIE_RESUME (1U << 11)
@@ -211,6 +225,7 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define DELAY(cycles) ((cycles) << 8)
 #define JMP(to) (0x0000U | (to))
 #define JMP_X_DEC(to) (0x0040U | (to))
+#define JMP_NOT_Y(to) (0x0060U | (to))
 #define JMP_Y_DEC(to) (0x0080U | (to))
 #define JMP_X_NOT_Y(to) (0x00A0U | (to))
 #define JMP_PIN(to) (0x00C0U | (to))
@@ -220,11 +235,13 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define IN_PINS(count) (0x4000U | (count))
 #define OUT_PINS(count) (0x6000U | (count))
 #define OUT_X(count) (0x6020U | (count))
+#define OUT_Y(count) (0x6040U | (count))
 #define PUSH_NO_BLOCK 0x8000U
 #define PULL_NO_BLOCK 0x8080U
 #define PULL 0x80A0U
 #define MOV_PINS_OSR 0xA007U
 #define MOV_PINS_NULL 0xA003U
+#define MOV_OSR_PINS 0xA0E0U
 #define MOV_X_OSR 0xA027U
 #define MOV_X_ISR 0xA026U
 #define MOV_Y_OSR 0xA047U

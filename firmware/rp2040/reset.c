@@ -45,7 +45,7 @@ void board_bootloader(void)
     const lookup_t lookup = (lookup_t)(uintptr_t)rom_lookup;
     const uint16_t* const functions = (const uint16_t*)(uintptr_t)rom_functions;
     const reset_to_usb_boot_t reset_to_usb_boot = (reset_to_usb_boot_t)lookup(functions, ROM_CODE('U', 'B'));
-    reset_to_usb_boot(1U << PIN_STATUS, 0U);
+    reset_to_usb_boot((board_kind() == BOARD_KIND_PICO_W) ? 0U : 1U << PIN_STATUS, 0U);
 }
 
 void reset_start(void)

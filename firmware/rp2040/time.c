@@ -50,7 +50,9 @@ void alarm_handler(void)
 void time_sleep(void)
 {
     interrupts_off();
-    REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
-    __asm volatile("wfi");
+    if (!pinuse_hurries()) {
+        REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
+        __asm volatile("wfi");
+    }
     interrupts_on();
 }

@@ -346,7 +346,8 @@ static void bus_reset(void)
 }
 
 // A hanging controller is put into reset, which lets go of D+: the host sees the plug pulled. It stays there for as
-// long as a hub may take to believe that, and then it is a device newly plugged in.
+// long as a hub may take to believe that, and then it is a device newly plugged in. So it is without VBUS, where that
+// is sensed, until it is back: a device must not feed a bus that has no power (USB 2.0, 7.1.5 and 7.2.1).
 #define AWAY_US 10000U
 
 static struct {
@@ -355,19 +356,18 @@ static struct {
     uint32_t times;
 } recovery;
 
-static void leave(void)
+static void leave(const uint32_t for_us)
 {
     usb_port_forget();  // to the core its host is gone: what was armed is dark in the next round
     control.phase = REST;
     SET_BITS(RESETS_RESET) = RESET_USB;
     recovery.away = true;
-    recovery.until_us = REGISTER(TIMER_RAW_LOW) + AWAY_US;
-    recovery.times++;
+    recovery.until_us = REGISTER(TIMER_RAW_LOW) + for_us;
 }
 
 static void come_back(void)
 {
-    if (!tick_is_past(REGISTER(TIMER_RAW_LOW), recovery.until_us)) {
+    if (!tick_is_past(REGISTER(TIMER_RAW_LOW), recovery.until_us) || !variant_vbus_back()) {
         return;
     }
     CLEAR_BITS(RESETS_RESET) = RESET_USB;
@@ -387,6 +387,10 @@ void usb_run(void)
 {
     if (recovery.away) {
         come_back();
+        return;
+    }
+    if (!variant_vbus()) {
+        leave(0U);
         return;
     }
     const uint32_t status = REGISTER(USB_SIE_STATUS) & (SIE_BUS_RESET | SIE_SUSPENDED | SIE_RESUME | SIE_SETUP);
@@ -413,7 +417,8 @@ void usb_run(void)
         begin_control();
     }
     if (usb_port.configured && !usb_port.suspended && usb_frame_overdue()) {
-        leave();
+        recovery.times++;
+        leave(AWAY_US);
         return;
     }
     usb_port_flush();
@@ -431,21 +436,32 @@ void usb_handler(void)
     }
 }
 
+void usb_let_go(void)
+{
+    if ((REGISTER(RESETS_DONE) & RESET_USB) != 0U) {
+        CLEAR_BITS(USB_SIE_CTRL) = SIE_PULL_UP;
+    }
+}
+
 void usb_start(void)
 {
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+    if (!variant_vbus_back()) {
+        leave(0U);
+        return;
+    }
     static const uint8_t one_mbaud[sizeof line_coding] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 8N1
     memcpy(line_coding, one_mbaud, sizeof line_coding);
     for (uint32_t at = 0; at < 0x100U; at += 4U) {
         REGISTER(USB_DPSRAM + at) = 0U;
     }
     REGISTER(USB_MUXING) = (1U << 0) | (1U << 3);  // to the PHY, soft connect
-    REGISTER(USB_POWER) = (1U << 3) | (1U << 2);   // there is always a bus: no pin tells
+    REGISTER(USB_POWER) = (1U << 3) | (1U << 2);   // there is a bus: GP24 is no pin that can tell the block so
     REGISTER(USB_MAIN_CTRL) = 1U;                  // device, on
     REGISTER(USB_SIE_CTRL) = 1U << 29;             // BUFF_STATUS for endpoint 0 as well
     usb_place_packets(NOTICE_IN, NOTICE_IN);
     usb_place_packets(DATA_IN, DATA_IN);
     usb_place_packets(DATA_OUT, DATA_OUT);
     REGISTER(USB_INTE) = USB_INT_ALL;
-    SET_BITS(USB_SIE_CTRL) = 1U << 16;  // pull up D+: here we are
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+    SET_BITS(USB_SIE_CTRL) = SIE_PULL_UP;  // here we are
 }

@@ -141,7 +141,7 @@ static void restart_out(void)
 // A charger configures nothing, and a bus without its host falls silent, which counts as suspended.
 bool usb_hosted(void)
 {
-    return usb_port.configured && !usb_port.suspended;
+    return usb_port.configured && !usb_port.suspended && variant_vbus();
 }
 
 bool usb_connected(void)

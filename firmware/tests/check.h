@@ -23,6 +23,7 @@ void sequencer_tests(void);
 void lamps_tests(void);
 void preamble_tests(void);
 void safety_tests(void);
+void interlock_tests(void);
 void bursts_tests(void);
 void turntable_tests(void);
 void measure_tests(void);

@@ -47,6 +47,7 @@ int main(void)
     lamps_tests();
     preamble_tests();
     safety_tests();
+    interlock_tests();
     bursts_tests();
     turntable_tests();
     measure_tests();

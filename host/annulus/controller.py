@@ -16,6 +16,7 @@ HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
 UPDATE_MAX_BYTES = 65536  # largest application: a slot of flash
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
+INTERLOCK_DISAGREE_MS = 5  # two interlock inputs may contradict each other for so long: a relay's contacts
 PREAMBLE_MAX = 63  # edges of a preamble
 
 # Limits, compiled into the controller and enforced there.
@@ -53,11 +54,22 @@ PIN_DIRECTION = 9  # turntable DIR
 PIN_ENABLE = 10  # turntable ENABLE, low = on
 PIN_END_LOW = 11  # turntable's lower end switch: closed = low, reached or broken = high
 PIN_END_HIGH = 12  # turntable's upper end switch
+PIN_INTERLOCK_ANTIVALENT = 13  # second interlock input, looked at once configured: closed = high, open or broken = low
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
 PIN_CAMERA_TRIGGER = 16  # trigger of a camera that takes one: lasts as long as it exposes
-PIN_STATUS = 25  # status light: something is armed
-INPUT_PINS = (PIN_SYNC, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
+PIN_VBUS = 24  # 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
+PIN_STATUS = 25  # status light: something is armed; on a Pico W it stays low, there is no light at this pin
+INPUT_PINS = (
+    PIN_SYNC,
+    PIN_INTERLOCK,
+    PIN_END_LOW,
+    PIN_END_HIGH,
+    PIN_INTERLOCK_ANTIVALENT,
+    PIN_ODOMETER_A,
+    PIN_ODOMETER_B,
+    PIN_VBUS,
+)
 OUTPUT_PINS = (
     PIN_PROJECTOR,
     PIN_LED,

@@ -15,11 +15,14 @@ ENUM_NAMES = {
     "image_why": "ImageWhy",
     "image_flash": "ImageFlash",
     "part": "RoundPart",
+    "board_kind": "BoardKind",
+    "presence": "Presence",
 }
 FLAG_NAMES = {
     "edge": "EdgeFlag",
     "state": "StateFlag",
     "turntable": "TurntableFlag",
+    "interlock": "InterlockFlag",
     "polarity": "PolarityFlag",
     "arm": "ArmFlag",
 }

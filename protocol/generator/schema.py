@@ -96,12 +96,12 @@ class Pin:
     number: int
     pico: int | None  # number of the pin on the Pico's edge
     use: str  # in, out, or line: a peripheral's
-    at_reset: str  # low, high, pulled up
+    at_reset: str  # low, high, pulled up, pulled down
     what: str
 
     @property
     def high_at_reset(self) -> bool:
-        return self.at_reset != "low"
+        return self.at_reset in ("high", "pulled up")
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def check(protocol: Protocol) -> None:
     numbers = [pin.number for pin in protocol.pins.values()]
     assert len(set(numbers)) == len(numbers), "a pin is used twice"
     for name, pin in protocol.pins.items():
-        assert pin.use in ("in", "out", "line") and pin.at_reset in ("low", "high", "pulled up"), name
+        assert pin.use in ("in", "out", "line") and pin.at_reset in ("low", "high", "pulled up", "pulled down"), name
     assert protocol.codes.keys() == protocol.enums["burst_code"].keys() - {"uploaded"}, "codes are burst_code's"
     for name, chips in protocol.codes.items():
         assert set(chips) <= {"0", "1"} and "1" in chips and len(chips) <= protocol.controller["chips_max"].value, name

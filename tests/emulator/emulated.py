@@ -106,13 +106,16 @@ def end_idle() -> None:
 class EmulatedBoard:
     """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
 
-    def __init__(self, image: Path = IMAGE, vcd: Path | None = None, flash_id: str | None = None) -> None:
+    def __init__(
+        self, image: Path = IMAGE, vcd: Path | None = None, flash_id: str | None = None, kind: str = "pico"
+    ) -> None:
         self._image = image
         self._functions: dict[str, int] = {}
         self._keep = vcd is None  # the process, for another board
         taken = _idle.pop() if self._keep and _idle else None
         command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
         command += ["--flash-id", flash_id] if flash_id else []
+        command += ["--board", kind]
         self._process = taken or subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.now = 0
         self.transitions: list[tuple[int, int, int]] = []
@@ -123,6 +126,7 @@ class EmulatedBoard:
         self.resets: list[int] = []
         self.stack = 0  # bytes, the deepest so far
         self.rounds = (0, 0)  # ticks the main loop's longest took, and when it began; set it to begin anew
+        self.pulled_up = False  # D+, by the device
         self.longest = (0, 0)  # the same, of all
         self.origin = 0  # tick at which the controller began to count its own
         self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
@@ -139,7 +143,7 @@ class EmulatedBoard:
         self._sequence = itertools.count()
         if taken:
             try:
-                self._do(op="anew", image=str(image), **({"flash_id": flash_id} if flash_id else {}))
+                self._do(op="anew", image=str(image), board=kind, **({"flash_id": flash_id} if flash_id else {}))
             except EmulatorFault:
                 self.close()
                 raise
@@ -167,7 +171,7 @@ class EmulatedBoard:
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
         self.rounds = max(self.rounds, tuple(answer["round"]))
         self.longest = max(self.longest, tuple(answer["round"]))
-        self.flash = answer["flash"]
+        self.flash, self.pulled_up = answer["flash"], answer["pulled_up"]
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
         heard = self._decoder.feed(bytes(byte for _, byte in answer["sent"]))
@@ -214,6 +218,10 @@ class EmulatedBoard:
     def wire(self, *wires: tuple[int, int]) -> None:
         """Jumpers from an output to an input each, in place of those before."""
         self._do(op="wires", wires=wires)
+
+    def let_go(self, pin: int) -> None:
+        """An input's wire is off: its pad pulls it."""
+        self._do(op="let-go", pin=pin)
 
     def pull(self, *pulls: tuple[int, int]) -> None:
         """Resistors outside at these outputs, to this level each, in place of those before."""

@@ -79,11 +79,12 @@ take:
 public watch:
     jmp pin cut
     jmp x-- watch
+public spent:
     pull noblock            ; the next credit, or x again: all ones
     jmp pin cut
     mov y, osr
     jmp x!=y take
-cut:
+public cut:
     set pins, 0             ; wraps to itself
 """
 ODOMETER = """
@@ -98,14 +99,36 @@ changed:
     push noblock
     jmp again
 """
+# In place of `watch`, for an interlock of two inputs: a step every six cycles; the other pin, the lowest of its inputs,
+# must be high. Two of its jumps lead into the program above.
+GUARD_OF_TWO = """
+.program guard_of_two
+again:
+    jmp pin {cut}
+    mov osr, pins
+    out y, 1
+    jmp pin {cut}
+    jmp !y {cut}
+    jmp x-- again
+    jmp {spent}
+"""
 
 
 def assembled(source: str, origin: int = 0) -> list[int]:
     """Words where they stand in the memory: jumps are absolute."""
-    return [word + origin if word >> 13 == 0 else word for word in adafruit_pioasm.assemble(source)]
+    words = adafruit_pioasm.assemble(source)
+    return [(word & ~31) | (word + origin & 31) if word >> 13 == 0 else word for word in words]
 
 
-PROGRAMS = [(LAMPS, 0, 0), (TRAIN, 0, 1), (ODOMETER, len(assembled(TRAIN)), 1)]  # with origin and block
+LABELS = adafruit_pioasm.Program(TRAIN).public_labels
+TWO_AT = len(assembled(TRAIN)) + len(assembled(ODOMETER))
+TWO = GUARD_OF_TWO.format(**{name: (at - TWO_AT) & 31 for name, at in LABELS.items()})
+PROGRAMS = [  # with origin and block
+    (LAMPS, 0, 0),
+    (TRAIN, 0, 1),
+    (ODOMETER, len(assembled(TRAIN)), 1),
+    (TWO, TWO_AT, 1),
+]
 
 
 def tables(elf: bytes) -> dict[int, list[tuple[str, list[int]]]]:
@@ -119,7 +142,7 @@ def tables(elf: bytes) -> dict[int, list[tuple[str, list[int]]]]:
     for at in range(symbols[4], symbols[4] + symbols[5], 16):
         name_at, value, length, _, _, section = struct.unpack_from("<IIIBBH", elf, at)
         name = elf[strings + name_at : elf.index(b"\0", strings + name_at)].decode()
-        if name.split(".")[0] in ("program", "counter") and length:
+        if name.split(".")[0] in ("program", "counter", "guard_both") and length:
             offset = sections[section][4] + value - sections[section][3]
             words = list(struct.unpack_from(f"<{length // 2}H", elf, offset))
             found.setdefault(length // 2, []).append((name, words))
@@ -168,17 +191,17 @@ def pios(image: Path) -> Iterator[Pios]:
 # ---- words ----
 
 
-@pytest.mark.parametrize("source, origin, block", PROGRAMS, ids=["lamps", "train", "odometer"])
+@pytest.mark.parametrize("source, origin, block", PROGRAMS, ids=["lamps", "train", "odometer", "guard of two"])
 def test_the_words_are_those_another_assembler_makes(source: str, origin: int, block: int, pios: Pios) -> None:
     words = assembled(source, origin)
-    [(_, linked)] = tables(IMAGE.with_suffix(".elf").read_bytes())[len(words)]
-    assert [f"{word:04x}" for word in linked] == [f"{word:04x}" for word in words]
+    linked = [found for _, found in tables(IMAGE.with_suffix(".elf").read_bytes())[len(words)]]
+    assert words in linked, [f"{word:04x}" for word in words]
     assert pios.blocks[block]["memory"][origin : origin + len(words)] == words  # and what the running image has loaded
 
 
 def test_every_pio_program_of_the_image_is_among_them(pios: Pios) -> None:
-    sizes = {n: len(found) for n, found in tables(IMAGE.with_suffix(".elf").read_bytes()).items()}
-    assert sizes == {len(assembled(source)): 1 for source, _, _ in PROGRAMS}
+    sizes = [n for n, found in tables(IMAGE.with_suffix(".elf").read_bytes()).items() for _ in found]
+    assert sorted(sizes) == sorted(len(assembled(source)) for source, _, _ in PROGRAMS)
     used = [0, 0]
     for source, _, block in PROGRAMS:
         used[block] += len(assembled(source))
@@ -198,9 +221,12 @@ def compare(
     tx: list[int] | None = None,
     inputs: list[int] | None = None,
     pins: int = 0,
+    patches: dict[int, int] | None = None,
 ) -> list[list[Any]]:
     """Run one machine of the image in both emulators; every register equal after every cycle. Our trace."""
     machine, memory, raw = pios.machine(block, index), pios.memory(block), inputs or []
+    for at, word in (patches or {}).items():
+        memory[at] = word
     wrap_bottom, wrap_top = machine["execctrl"] >> 7 & 31, machine["execctrl"] >> 12 & 31
     out_base, out_count = machine["pinctrl"] & 31, machine["pinctrl"] >> 20 & 63
     set_base, set_count = machine["pinctrl"] >> 5 & 31, machine["pinctrl"] >> 26 & 7
@@ -213,7 +239,7 @@ def compare(
     def levels(cycle: int) -> int:
         """Inputs pass two flip-flops; theirs knows no base of inputs."""
         seen = raw[cycle - 2] if 2 <= cycle < len(raw) + 2 else 0
-        return (seen >> in_base) & ~(outputs >> shift)
+        return (seen >> in_base | seen << (32 - in_base) & 0xFFFFFFFF) & ~(outputs >> shift)
 
     state = State(program_counter=start, pin_values=pins >> shift, pin_directions=outputs >> shift)
     state.transmit_fifo.extend(tx or [])
@@ -228,7 +254,7 @@ def compare(
         out_count=out_count,
         set_base=set_base - shift,
         set_count=set_count,
-        jmp_pin=machine["execctrl"] >> 24 & 31,
+        jmp_pin=(machine["execctrl"] >> 24) - in_base & 31,
         wrap_target=wrap_bottom,
         wrap_top=wrap_top,
     )
@@ -271,7 +297,7 @@ def test_trains_are_played_alike(pios: Pios, machine: int, pin: int) -> None:
 
 
 GATE_AND_TRIGGER = 3 << 5
-WATCH = adafruit_pioasm.Program(TRAIN).public_labels["watch"]
+WATCH = LABELS["watch"]
 
 
 @pytest.mark.parametrize("opens", [5, 6, 7, 8, 40])
@@ -281,6 +307,36 @@ def test_the_guard_cuts_alike_when_the_interlock_opens(pios: Pios, opens: int) -
     for pin in (5, 6):
         [(_, on), (_, off)] = runs(trace, pin)
         assert opens + 3 <= on <= opens + 2 + 5 and off > 40  # two flip-flops, at most four cycles unseen, the cut
+
+
+LEADS_TO_TWO = {WATCH: TWO_AT}  # jmp: as the firmware has it once two inputs are configured
+BOTH_CLOSED = (
+    1 << 13 | GATE_AND_TRIGGER << 13
+)  # theirs reads its own outputs among the inputs: ours has them there, too
+
+
+@pytest.mark.parametrize("opens", [*range(20, 26), 60, 61, 62])
+@pytest.mark.parametrize("pin", [7, 13])
+def test_the_guard_of_two_cuts_alike_whichever_input_opens(pios: Pios, pin: int, opens: int) -> None:
+    inputs = [BOTH_CLOSED] * opens + [BOTH_CLOSED ^ 1 << pin] * 80
+    trace = compare(
+        pios, 1, 3, start=TWO_AT + 5, cycles=opens + 50, tx=[3, 9, 9], inputs=inputs, pins=GATE_AND_TRIGGER,
+        patches=LEADS_TO_TWO,
+    )  # fmt: skip
+    for output in (5, 6):
+        [(_, on), (_, off)] = runs(trace, output)
+        unseen = 5 if pin == 7 else 13 + 3  # the second is sampled, and three cycles later judged
+        assert opens + 3 <= on <= opens + 2 + unseen + 1 and off > 20
+
+
+def test_the_guard_of_two_cuts_alike_when_its_credits_run_out(pios: Pios) -> None:
+    credits = [7, 20, 3]
+    trace = compare(
+        pios, 1, 3, start=TWO_AT + 5, cycles=300, tx=credits, inputs=[BOTH_CLOSED] * 300, pins=GATE_AND_TRIGGER,
+        patches=LEADS_TO_TWO,
+    )  # fmt: skip
+    lasted = 1 + sum(6 * (credit + 1) + 7 for credit in credits) + 5  # an old one's last step, each, finding none
+    assert runs(trace, 5) == [(1, lasted), (0, 300 - lasted)]
 
 
 @pytest.mark.parametrize("credits", [[], [7], [7, 20, 3]])

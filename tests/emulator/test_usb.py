@@ -392,7 +392,7 @@ def test_unplugged_while_armed_it_goes_dark_and_is_back_in_under_a_second(board:
     board.run(unplugged + 40 * MS)
     dark = max(tick for tick, pin, _ in board.transitions if pin in OUTPUTS)
     print(f"dark {(dark - unplugged) / MS:.2f} ms after the plug was pulled")
-    assert unplugged < dark < unplugged + 4 * MS  # an idle bus shows after 3 ms
+    assert unplugged < dark < unplugged + MS // 5  # VBUS tells; where it is not sensed: test_variant.py
     replugged = board.now
     board.over_usb = False
     board.plug_in()

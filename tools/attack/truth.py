@@ -47,7 +47,13 @@ from tools.attack.slots import Slots, is_order, order_at, orders_kept
 from tools.attack.trains import chips_of, trains
 
 US = MS // 1000
-LATCHING = {FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT}
+LATCHING = {
+    FaultCode.INTERLOCK,
+    FaultCode.HOST_TIMEOUT,
+    FaultCode.WATCHDOG,
+    FaultCode.LIMIT,
+    FaultCode.INTERLOCK_DISAGREES,
+}
 LAMP_PINS = {Lamp.PROJECTOR: PIN_PROJECTOR, Lamp.LED: PIN_LED}
 WATCHDOG = 100 * MS
 CUT = 10  # ticks from an interlock that opens to its gate low; a chip is at least as long
@@ -465,7 +471,7 @@ class Truth:
 
 
 def is_latching(event: Event) -> bool:
-    return isinstance(event, Booted) or (isinstance(event, Fault) and (event.fault in LATCHING or event.fault == 8))
+    return isinstance(event, Booted) or (isinstance(event, Fault) and event.fault in LATCHING)
 
 
 def reloads_flash(asked: Asked) -> bool:

@@ -16,11 +16,14 @@ export const PIN = {
   ENABLE: 10, // turntable ENABLE, low = on
   END_LOW: 11, // turntable's lower end switch: closed = low, reached or broken = high
   END_HIGH: 12, // turntable's upper end switch
+  INTERLOCK_ANTIVALENT: 13, // second interlock input, looked at once configured: closed = high, open or broken = low
   ODOMETER_A: 14, // quadrature A, four counts a cycle, A first counts up
   ODOMETER_B: 15, // quadrature B
   CAMERA_TRIGGER: 16, // trigger of a camera that takes one: lasts as long as it exposes
-  STATUS: 25, // status light: something is armed
+  VBUS: 24, // 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
+  STATUS: 25, // status light: something is armed; on a Pico W it stays low, there is no light at this pin
 };
-export const INPUT_PINS = [2, 7, 11, 12, 14, 15];
+export const INPUT_PINS = [2, 7, 11, 12, 13, 14, 15, 24];
 export const OUTPUT_PINS = [3, 4, 5, 6, 8, 9, 10, 16, 25];
 export const OUTPUTS_HIGH_AT_RESET = [10];
+export const INPUTS_LOW_AT_REST = [13, 24];

@@ -9,18 +9,20 @@
 //
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
 //   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
-//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "pulls", "pulls": [[output, level], ..]} (resistors outside) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
+//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "let-go", "pin": N} (an input whose wire is off) | {"op": "pulls", "pulls": [[output, level], ..]} (resistors outside) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
 //   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot) | {"op": "ram", "at": ADDRESS, "hex": ".."}
-//   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing} (another board in place of this one)
+//   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing, "board": KIND or nothing} (another board in place of this one)
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
-// knows, or null), origin (tick at which the controller's own count began), round ([ticks, when it began] of the main loop's longest that ended since the last answer). --flash-id: the flash chip's 64 bits, 16 hex digits.
+// knows, or null), pulled_up (D+, by the device), origin (tick at which the controller's own count began), round ([ticks, when it began] of the main loop's longest that ended since the last answer). --flash-id: the flash chip's 64 bits, 16 hex digits.
+// --board pico | pico-w | other: what carries the chip.
 
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
+import { letGo, setWires } from './inputs.mjs';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
@@ -30,7 +32,7 @@ import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] [--board KIND] | --drive [--vcd FILE] [--flash-id HEX] [--board KIND]\n`);
   process.exit(2);
 }
 
@@ -39,7 +41,7 @@ function options(args) {
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
     else if (args[i] === '--flash-waits') continue; // they always are
-    else if (['--serve', '--serve-usb', '--serve-usbip', '--sync-hz', '--wires', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
+    else if (['--serve', '--serve-usb', '--serve-usbip', '--sync-hz', '--wires', '--vcd', '--flash-id', '--board'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
   }
@@ -58,7 +60,8 @@ function answer(machine, op) {
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
-    case 'wires': machine.setWires(op.wires); break;
+    case 'wires': setWires(machine, op.wires); break;
+    case 'let-go': letGo(machine, op.pin); break;
     case 'pulls': setPulls(machine, op.pulls); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
@@ -77,12 +80,12 @@ function answer(machine, op) {
     case 'anew': break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' || machine.host.received?.length ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' || machine.host.received?.length ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, pulled_up: machine.usb.pulledUp, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
 }
 
 // A board just switched on, its interlock closed.
-function powered(image, flashId) {
-  const machine = new Machine(readFileSync(image), flashId);
+function powered(image, flashId, board) {
+  const machine = new Machine(readFileSync(image), flashId, board);
   machine.input(0, PIN.INTERLOCK, 0);
   return machine;
 }
@@ -94,7 +97,7 @@ function drive(machine, vcd) {
       const op = JSON.parse(line);
       if (op.op === 'anew') { // nothing of a board outlives it: all its state is the machine's
         machine.host.close?.();
-        machine = powered(op.image, op.flash_id);
+        machine = powered(op.image, op.flash_id, op.board);
       }
       reply = answer(machine, op);
       vcd?.write(reply.pins, reply.sent, reply.now);
@@ -167,12 +170,12 @@ function serve(machine, given, vcd) {
 const given = options(process.argv.slice(2));
 let machine;
 try {
-  machine = powered(given.image, given['flash-id']);
+  machine = powered(given.image, given['flash-id'], given.board);
 } catch (error) {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
 }
-if (given.wires) machine.setWires(given.wires.split(',').map((wire) => wire.split('-').map(Number)));
+if (given.wires) setWires(machine, given.wires.split(',').map((wire) => wire.split('-').map(Number)));
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
 else serve(machine, given, vcd);

@@ -2,9 +2,11 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040 } from 'rp2040js';
+import { fitBoard, padWritten } from './adc.mjs';
 import { Cache, MISS_TICKS } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
-import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
+import { usbMHz } from './clocks.mjs';
+import { INPUT_PINS, OUTPUT_PINS, PIN, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
@@ -23,21 +25,22 @@ const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
-const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
+const RESET_BITS = { adc: 0, dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
 const RESET_OF = new Map([
   [0x40014, 'io'], [0x40018, 'qspi'], [0x4001c, 'pads'], [0x40020, 'padsQspi'], [0x40028, 'pllSys'], [0x4002c, 'pllUsb'],
-  [0x40034, 'uart0'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
+  [0x40034, 'uart0'], [0x4004c, 'adc'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
 ]);
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f') {
+  constructor(uf2, flashId = 'e6616408438a1c2f', board = 'pico') {
     this.flash = readUf2(uf2);
     this.flashChip = new Flash(this.flash, Buffer.from(flashId, 'hex'), (at, size) => this.chip.flash.set(this.flash.subarray(at, at + size), at));
     this.ssi = new Ssi(this.flashChip);
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
-    this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
+    this.levels = new Map(); // of inputs
+    this.held = new Set(); // inputs that somebody drives; the others are what their pads pull them to
     this.pinLevels = new Map();
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
@@ -47,8 +50,9 @@ export class Machine {
     this.resets = [];
     this.scratch = new Uint32Array(8);
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
-    this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => this.usbMHz());
+    this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => usbMHz(this));
     this.host = new UsbHost(this.usb);
+    fitBoard(this, board);
     this.cache = new Cache(MISS_TICKS);
     this.loop = new Loop();
     this.waits = 0; // of the instruction being run, for data in flash
@@ -82,6 +86,8 @@ export class Machine {
     chip.dma = this.dma;
     this.uart.reset();
     this.ssi.reset();
+    this.adc.reset();
+    this.adc.padWritten(29, 0x56, this.now);
     this.cache.reset();
     this.host.now = this.now;
     this.usb.reset();
@@ -105,6 +111,7 @@ export class Machine {
       pin.addListener(() => this.note(index));
       if (OUTPUT_PINS.includes(index)) this.note(index);
     }
+    for (const pin of INPUT_PINS) if (!this.held.has(pin)) this.levels.set(pin, 0); // pads at reset pull down (2.19.6.3)
     for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
     for (const pin of chip.gpio) pin.irqStatus = 0;
     this.bindBus();
@@ -133,6 +140,7 @@ export class Machine {
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
+      if (index === PIN.STATUS) this.adc.select(level, this.now);
       if (this.wires.has(index)) this.drive(this.wires.get(index), level);
       else if (pin.inputEnable) this.quietUntil = this.hardwareTick; // somebody looks at it
     }
@@ -206,6 +214,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return this.ringOscillator();
       case 0x40034: return this.uart.readUint32(offset, this.now);
+      case 0x4004c: return this.adc.readUint32(offset, this.now);
       case 0x18000: return this.ssi.readUint32(offset, this.now);
       case 0x50110: return this.usb.readUint32(offset, this.now);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
@@ -250,6 +259,7 @@ export class Machine {
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
       case 0x18000: return this.ssi.writeUint32(offset, value, this.now);
+      case 0x4004c: return this.adc.writeUint32(offset, kind ? plain(this.adc.readUint32(offset, this.now)) : value, this.now);
       case 0x50110:
         this.host.now = this.now;
         return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset, this.now)) : value, value);
@@ -282,6 +292,7 @@ export class Machine {
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
+    if (key === 0x4001c) padWritten(this, (offset - 4) >> 2);
   }
 
   // Or the loader, which runs from flash and from the last of the RAM.
@@ -294,16 +305,9 @@ export class Machine {
     for (const number of [0, 1]) if ((fell >>> (10 + number)) & 1) { this.pios[number].reset(); this.updatePins(); }
     if ((fell >>> RESET_BITS.dma) & 1) this.dma.reset();
     if ((fell >>> RESET_BITS.uart0) & 1) this.uart.reset();
+    if (fell & 1) this.adc.reset();
     if ((fell >>> RESET_BITS.usb) & 1) { this.host.now = this.now; this.usb.reset(); }
     this.inReset = value;
-  }
-
-  // Of clk_usb: its PLL runs, within the VCO's range, and the clock is let through.
-  usbMHz() {
-    const pll = this.chip.peripherals[0x4002c];
-    const vco = (12 / (pll.cs & 63)) * pll.fbdivInt;
-    const isOn = this.chip.peripherals[0x40008].readUint32(0x54) & (1 << 11) && !(pll.pwr & 0x29) && vco >= 750 && vco <= 1600;
-    return isOn && !((this.inReset >>> RESET_BITS.pllUsb) & 1) ? pll.frequency / 1e6 : 0;
   }
 
   // ---- hardware ----
@@ -454,19 +458,15 @@ export class Machine {
   }
 
   drive(pin, level) {
+    this.held.add(pin);
+    this.put(pin, level);
+  }
+
+  put(pin, level) {
     this.quietUntil = this.hardwareTick;
     if (this.levels.get(pin) === level) return;
     this.levels.set(pin, level);
     this.chip.gpio[pin].setInputValue(level === 1);
-  }
-
-  // Jumpers, [output, input] each, in place of those before. An input let go is pulled up again.
-  setWires(wires) {
-    for (const [from, to] of wires) if (!OUTPUT_PINS.includes(from) || !INPUT_PINS.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
-    this.sync();
-    for (const to of this.wires.values()) this.drive(to, 1);
-    this.wires = new Map(wires);
-    for (const [from, to] of wires) this.drive(to, this.pinLevels.get(from) ?? 0);
   }
 
   write_serial(bytes) { this.uart.feed(bytes, this.now); }

@@ -232,7 +232,7 @@ class Machine {
     for (let i = 0; i < LOOP_MAX; i++) {
       const word = pio.memory[this.pc];
       const kind = word >>> 13;
-      if (kind === 3 || kind === 6) break;
+      if (kind === 6 || (kind === 3 && ((word >>> 5) & 7) === 0)) break;
       if (kind === 2 && this.autopush) {
         if (i === 0 && this.wouldPush((word & 31) || 32) && this.rx.length === FIFO_DEPTH) result = Infinity;
         break;

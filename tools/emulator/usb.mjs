@@ -16,6 +16,7 @@ export class Usb {
     this.interrupt = interrupt; // (level)
     this.clockMHz = clockMHz;   // () => of clk_usb, 0 = off
     this.onPull = () => {};     // D+ pulled up, or no longer
+    this.onCable = () => {};    // (isIn): the host's 5 V are there, or gone
     this.frameAt = () => undefined; // (now) => {number, age} of the bus's frame, undefined while none are sent
     this.lateFrom = Infinity;   // age from which on a buffer for bulk in may not be handed over
     this.latest = 0;            // age of the frame in which one was handed over latest

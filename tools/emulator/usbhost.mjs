@@ -281,8 +281,8 @@ export class UsbHost {
     this.now = Math.max(this.now, now);
     const task = (generator) => this.start(generator, true);
     switch (what.do) {
-      case 'attach': this.cable = true; this.pulled(); break;
-      case 'detach': this.cable = false; this.pulled(); this.start(this.idle(), true, true); break;
+      case 'attach': this.cable = true; this.usb.onCable(true); this.pulled(); break;
+      case 'detach': this.cable = false; this.usb.onCable(false); this.pulled(); this.start(this.idle(), true, true); break;
       case 'reset': this.clear(); this.state = 'attached'; task(this.enumerate()); break;
       case 'suspend': this.asleep = true; this.stopFrames(); this.start(this.idle(), true, true); break;
       case 'resume': this.start(this.wake(), true, true); break;

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tools.manual import commands, docstrings, families, pictures, settings, topics
+from tools.manual import commands, docstrings, families, hardware, pictures, settings, topics
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -31,6 +31,8 @@ FENCE = re.compile(r"^(```|~~~|:::)")
 GENERATORS: Mapping[str, Callable[[], str]] = {
     "commands": commands.page,
     "settings": settings.page,
+    "hardware-parts": hardware.parts,
+    "hardware-times": hardware.times,
     "topics": topics.page,
     "messages": families.page,
 }
@@ -121,5 +123,6 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", docstring, priority=400)  # before napoleon reads it
     app.connect("autodoc-process-signature", signature)
     app.connect("builder-inited", lambda _: pictures.make())
+    app.connect("builder-inited", lambda _: hardware.make())
     app.connect("source-read", read)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -25,7 +25,8 @@ from annulus.daemon.priority import autogroup_remark, raise_priority
 from annulus.daemon.samples import open_sensors
 from annulus.link import operate
 from annulus.link.client import Client
-from annulus.link.messages import Polarity
+from annulus.link.hardware import interlock_line, use_both_inputs
+from annulus.link.messages import InterlockFlag, Polarity
 from annulus.link.pins import pins_text
 from annulus.link.problems import too_old
 from annulus.stream.access import Doorkeeper
@@ -64,7 +65,11 @@ def check_head(path: Path) -> list[Finding]:
             found.append(Finding(what, False, str(error)))
 
     look("calibration", lambda: _calibration(config), "" if config.calibration else "none: nothing is seen live")
-    look("controller", lambda: _controller(config.port or ""), "" if config.port else "none: frames have no labels")
+    look(
+        "controller",
+        lambda: _controller(config.port or "", config.interlock_antivalent),
+        "" if config.port else "none: frames have no labels",
+    )
     if config.port and config.inverted:
         look("wiring", lambda: _wiring(config))
     found += _cameras(config)
@@ -84,9 +89,12 @@ def _calibration(config: HeadConfig) -> str:
     return cameras + later
 
 
-def _controller(port: str) -> str:
+def _controller(port: str, antivalent: bool) -> str:
     with Client(port):  # one that may be armed, not only asked
         pass
+    inputs = use_both_inputs(port) if antivalent else InterlockFlag(0)
+    if (InterlockFlag.OPEN in inputs) != (InterlockFlag.ANTIVALENT_OPEN in inputs) and antivalent:
+        raise AnnulusError(f"{port}: the interlock {interlock_line(inputs)}. Expected both alike.")
     status = operate.status(port)
     armed = str(status["state"])
     if "armed" in armed or status["fault"] != "none":

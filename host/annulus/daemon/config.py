@@ -135,6 +135,7 @@ class HeadConfig:
     slots: int = SLOTS
     log: LogConfig | None = None
     realtime: bool | None = None  # None: where it is allowed
+    interlock_antivalent: bool = False  # the interlock has a second input
 
     @property
     def timing(self) -> FrameTiming:
@@ -152,6 +153,7 @@ class HeadConfig:
             "lamps": asdict(self.lamps),
             "record": asdict(self.record),
             "port": self.port,
+            "interlock_antivalent": self.interlock_antivalent,
             "inverted": list(self.inverted),
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
@@ -167,6 +169,7 @@ class HeadConfig:
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port", "inverted"),
+    "interlock": ("antivalent",),
     "camera": (
         "kind",
         "device",
@@ -254,6 +257,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         slots=_whole(workers, "workers", "slots", SLOTS * len(cameras), 4, 1024),
         log=_log(data["log"], folder) if "log" in data else None,
         realtime=_realtime(data.get("daemon", {})),
+        interlock_antivalent=_flag(data.get("interlock", {}), "interlock", "antivalent", False),
     )
     if config.port is not None:
         config.lamps.check(config.timing)

@@ -11,7 +11,17 @@ from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.request import LAMP_KEYS
 from annulus.link.head import HeadControl, HeadEvent, PhaseChanged
-from annulus.link.messages import Fault, Preamble, Stage, StateFlag, SyncFound, SyncLost, TurntableStopped
+from annulus.link.messages import (
+    Fault,
+    Interlock,
+    InterlockFlag,
+    Preamble,
+    Stage,
+    StateFlag,
+    SyncFound,
+    SyncLost,
+    TurntableStopped,
+)
 from annulus.link.operate import why_it_stopped
 from annulus.link.phase import Phase
 from annulus.link.pins import AS_WIRED, Pins, pins_named
@@ -46,10 +56,11 @@ class ControllerLine:
         observer: Observer,
         preamble: Preamble | None = None,
         pins: Pins = AS_WIRED,
+        interlock: Interlock | None = None,
     ) -> None:
         """Raises AnnulusError when the port cannot be opened."""
         self.url, self._account, self._observer = url, account, observer
-        self.head = HeadControl(stage, armed=False, preamble=preamble, pins=pins)
+        self.head = HeadControl(stage, armed=False, preamble=preamble, pins=pins, interlock=interlock)
         self._port: Port | None = Port(url)
         self._opening: Opening | None = None
         self._reopen_s = 0.0
@@ -284,6 +295,11 @@ def preamble_for(config: HeadConfig) -> Preamble | None:
     if lamps.preamble_frames == 0:
         return None
     return preamble_of(stage_of(config), lamps.preamble_frames, lamps.preamble_interval_s)
+
+
+def interlock_for(config: HeadConfig) -> Interlock | None:
+    """The interlock's inputs that head.toml names."""
+    return Interlock(InterlockFlag.ANTIVALENT) if config.interlock_antivalent else None
 
 
 def pins_for(config: HeadConfig) -> Pins:

@@ -12,7 +12,7 @@ from annulus.daemon.account import Account
 from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.control import ControlSocket
-from annulus.daemon.controller_line import ControllerLine, pins_for, preamble_for, stage_of
+from annulus.daemon.controller_line import ControllerLine, interlock_for, pins_for, preamble_for, stage_of
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import Pool, socket_folder
 from annulus.daemon.priority import prompt
@@ -69,7 +69,10 @@ def power_up(
         stack.callback(feeds[-1].close)
     line = None
     if config.port is not None:
-        line = ControllerLine(config.port, stage_of(config), account, observers, preamble_for(config), pins_for(config))
+        line = ControllerLine(
+            config.port, stage_of(config), account, observers, preamble_for(config), pins_for(config),
+            interlock_for(config),
+        )  # fmt: skip
         stack.callback(line.close)
         for event in line.identify():
             navigation.heard(event)

@@ -73,7 +73,8 @@ def _board(port: str) -> Finding:
     if runs["git"] != ours["git"]:
         text = f"{port}: runs {runs['git']}, annulus has {ours['git']}: `annulus firmware flash` with this port"
         return Finding("board", None, text)
-    return Finding("board", True, f"{port}: runs {runs['git']}, as annulus has it")
+    carrier = f" on a {runs['carrier']}" if runs.get("carrier") else ""
+    return Finding("board", True, f"{port}: runs {runs['git']}, as annulus has it{carrier}")
 
 
 def rule(root: Path = Path("/")) -> list[Finding]:

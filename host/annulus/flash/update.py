@@ -32,11 +32,14 @@ from annulus.flash.over_line import write_over_line
 from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt
+from annulus.link.hardware import carrier_line
 from annulus.link.messages import (
     BOOTLOADER_MAGIC,
     BOOTLOADER_NEEDS_USB,
     BootCause,
     Bootloader,
+    Hardware,
+    HardwareReply,
     IdentifyReply,
     Message,
     Status,
@@ -96,7 +99,8 @@ def board_fields(port: str) -> dict[str, object]:
     """Who answers on a port. AnnulusError when nobody does."""
     with Client(port, diagnostics=True) as client:
         who = client.identity
-    return {"port": port, **_who(who)}
+        found = client.request(Hardware()) if client.session.knows(Hardware) else None
+    return {"port": port, **_who(who), "carrier": carrier_line(found) if isinstance(found, HardwareReply) else None}
 
 
 def _who(who: IdentifyReply) -> dict[str, object]:

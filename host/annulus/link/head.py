@@ -27,8 +27,8 @@ from annulus.link.messages import (
     ConfigurationReply,
     Edge,
     Fault,
-    FaultCode,
     IdentifyReply,
+    Interlock,
     Ping,
     PingReply,
     Polarity,
@@ -45,6 +45,7 @@ from annulus.link.phase import Phase
 from annulus.link.pins import AS_WIRED, Pins
 from annulus.link.preamble import PreambleOrders
 from annulus.link.problems import (
+    LATCHING,
     STOPPED,
     TAKEN_OVER,
     configuration_problem,
@@ -63,13 +64,13 @@ RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
 PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
-LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
 ADDED = (
     Configuration,
     Preamble,
     Polarity,
     CameraTrigger,
     Wiring,
+    Interlock,
 )  # which a controller of level 1 does not have
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
@@ -125,10 +126,11 @@ class HeadControl:
         armed: bool = True,
         preamble: Preamble | None = None,
         pins: Pins = AS_WIRED,
+        interlock: Interlock | None = None,
     ) -> None:
         """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
         the controller has them. `pins`: what the wiring wants of them; a controller that knows nothing of that is not
-        armed if it is anything.
+        armed if it is anything. `interlock`: its inputs, likewise; None leaves them as they are.
         """
         self.session = Session()
         self.clock = ClockMap()
@@ -140,6 +142,7 @@ class HeadControl:
         self.rearms = 0  # times the lamps were armed again after a reset or fault
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
+        self._interlock = interlock
         self._pins = pins
         self._armed = armed
         self.preambles = PreambleOrders(preamble, configuration.frame_period if configuration else PERIOD_TICKS)
@@ -156,8 +159,6 @@ class HeadControl:
         self._cleared = False  # a fault was cleared and the lamps have not been armed since
         self._step_sent_ns = 0
         self._news: list[HeadEvent] = []
-
-    # ---- what is wanted ----
 
     def configure(self, configuration: Stage | None) -> None:
         """Another configuration, put in force as soon as the controller lets it (dark in between)."""
@@ -229,8 +230,6 @@ class HeadControl:
                 self.preambles.sent(self.session.send(order), now)
         return self.session.pending(now)
 
-    # ---- steps ----
-
     def _step(self) -> Command | None:
         """The command that the present phase waits for."""
         match self.phase:
@@ -240,6 +239,8 @@ class HeadControl:
                 return Status()
             case Phase.DISARMING:
                 return Arm(ArmFlag(0))
+            case Phase.GUARDING:
+                return self._interlock
             case Phase.STAGING if self._configuration is not None:
                 return replace(self._configuration, generation=self._generation)
             case Phase.WIRING:
@@ -266,8 +267,9 @@ class HeadControl:
         """
         if not isinstance(step, ADDED) or self.session.knows(type(step)):
             return True
-        if self.session.informed and isinstance(step, Polarity) and self._pins != AS_WIRED:
-            self._enter(Phase.REFUSED, too_old(Polarity))
+        wired = isinstance(step, Polarity) and self._pins != AS_WIRED
+        if self.session.informed and (wired or isinstance(step, Interlock)):  # an input that nobody would look at
+            self._enter(Phase.REFUSED, too_old(type(step)))
         elif self.session.informed:
             self._go_on_from(self.phase)
         return False
@@ -313,9 +315,11 @@ class HeadControl:
                 self._has_run = self._lit = True
                 self._cleared = self._contradicted = self._fresh = False
                 self._enter(Phase.RUNNING)
-            case Arm() if self._configuration is None:
+            case Arm() if self._interlock is not None:
+                self._enter(Phase.GUARDING)
+            case Arm() | Interlock() if self._configuration is None:
                 self._enter(Phase.IDLE)
-            case Arm():
+            case Arm() | Interlock():
                 self._generation = self._generation % 255 + 1
                 self._enter(Phase.STAGING)
             case Stage():
@@ -390,8 +394,6 @@ class HeadControl:
         self._armed = self._lit = self._contradicted = False
         self.preambles.forget()
         self._restart_steps(Phase.STOPPED, why)
-
-    # ---- news ----
 
     def _news_of(self, happening: LinkEvent, now: int) -> None:
         if isinstance(happening, Rebooted):

@@ -44,6 +44,7 @@ class FaultCode(IntEnum):
     EVENT_OVERRUN = 5
     LIMIT = 6
     ODOMETER = 7
+    INTERLOCK_DISAGREES = 8
 
 
 class StopCause(IntEnum):
@@ -89,6 +90,18 @@ class RoundPart(IntEnum):
     SLEEP = 9
 
 
+class BoardKind(IntEnum):
+    UNKNOWN = 0
+    PICO = 1
+    PICO_W = 2
+
+
+class Presence(IntEnum):
+    UNKNOWN = 0
+    ABSENT = 1
+    PRESENT = 2
+
+
 class UpdateRefusal(IntEnum):
     NOT_NOW = 0
     INCOMPLETE = 1
@@ -124,6 +137,12 @@ class TurntableFlag(IntFlag):
     END_LOW = 1
     END_HIGH = 2
     END_HARD = 4
+
+
+class InterlockFlag(IntFlag):
+    ANTIVALENT = 1
+    OPEN = 2
+    ANTIVALENT_OPEN = 4
 
 
 class PolarityFlag(IntFlag):
@@ -1183,6 +1202,52 @@ class WiringReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class InterlockReply(Reply):
+    """Answer to interlock."""
+
+    ID: ClassVar[int] = 0x5D
+    SCHEMA_BYTE: ClassVar[int] = 0x55
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBB")
+    LENGTH: ClassVar[int] = 3
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "inputs")
+
+    inputs: InterlockFlag  # in force, and what they say now
+
+    def pack(self) -> bytes:
+        return _pack("interlock", self.LAYOUT, self.status, self.detail, self.inputs)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], InterlockFlag(v[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class HardwareReply(Reply):
+    """Answer to hardware."""
+
+    ID: ClassVar[int] = 0x5E
+    SCHEMA_BYTE: ClassVar[int] = 0x96
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBB")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "board", "vbus", "interlock")
+
+    board: BoardKind
+    vbus: Presence  # 5 V at the USB socket; unknown where nothing senses it
+    interlock: InterlockFlag
+
+    def pack(self) -> bytes:
+        return _pack("hardware", self.LAYOUT, self.status, self.detail, self.board, self.vbus, self.interlock)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], BoardKind(v[2]), Presence(v[3]), InterlockFlag(v[4]))
+
+
+@dataclass(frozen=True, slots=True)
 class ImageReply(Reply):
     """Answer to image."""
 
@@ -1984,6 +2049,55 @@ class Wiring(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Interlock(Command):
+    """Which inputs the interlock has. With a second, antivalent one it is open when either says so, and a contradiction of
+    over `interlock_disagree_ms` is a fault of its own. Refused while anything is armed or moves. After a reset: GP7
+    alone.
+    """
+
+    ID: ClassVar[int] = 0x1D
+    SCHEMA_BYTE: ClassVar[int] = 0xCD
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
+    LENGTH: ClassVar[int] = 1
+    FIELDS: ClassVar[tuple[str, ...]] = ("inputs",)
+    REPLY: ClassVar[type[Reply]] = InterlockReply
+    QUERY: ClassVar[bool] = False
+
+    inputs: InterlockFlag  # antivalent or 0
+
+    def pack(self) -> bytes:
+        return _pack("interlock", self.LAYOUT, self.inputs)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(InterlockFlag(v[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware(Command):
+    """What the controller finds about itself on its board; changes nothing."""
+
+    ID: ClassVar[int] = 0x1E
+    SCHEMA_BYTE: ClassVar[int] = 0x69
+    SINCE: ClassVar[int] = 3
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = HardwareReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("hardware", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Image(Command):
     """Which application runs, and from where. A new one is on trial until a host's `identify` is understood; after three
     starts without one the other application is started again.
@@ -2292,6 +2406,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x1C: Wiring,
     0x12: Turntable,
     0x13: TurntableStop,
+    0x1D: Interlock,
+    0x1E: Hardware,
 }
 
 REPLIES: dict[int, type[Reply]] = {
@@ -2325,6 +2441,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x5C: WiringReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
+    0x5D: InterlockReply,
+    0x5E: HardwareReply,
 }
 
 EVENTS: dict[int, type[Event]] = {

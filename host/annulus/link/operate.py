@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 from annulus.controller import CHIPS_MAX, CODES, HOST_TIMEOUT_DEFAULT_MS, TICK_HZ, TICKS_PER_US
 from annulus.link.client import Client
-from annulus.link.head import LATCHING
+from annulus.link.hardware import hardware_fields
 from annulus.link.messages import (
     COMMANDS,
     Arm,
@@ -55,7 +55,7 @@ from annulus.link.messages import (
     WiringReply,
 )
 from annulus.link.pins import AS_WIRED, Pins, pins_text
-from annulus.link.problems import configuration_problem, too_old
+from annulus.link.problems import LATCHING, configuration_problem, too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -109,6 +109,7 @@ def status(port: str) -> dict[str, object]:
             **_wiring_fields(client),
             **_crash_fields(client),
             **_health(client),
+            **hardware_fields(client),
         }
 
 

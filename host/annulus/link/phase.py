@@ -11,6 +11,7 @@ class Phase(StrEnum):
     SEARCHING = "searching"
     LOOKING = "looking"  # are the lamps still as we left them?
     DISARMING = "disarming"
+    GUARDING = "guarding"  # says which inputs the interlock has
     STAGING = "staging"
     WIRING = "wiring"  # says which pins are inverted
     TRIGGERING = "triggering"  # says how cameras are triggered

@@ -15,6 +15,7 @@ from annulus.link.messages import (
     SCHEMA_HASH,
     Arm,
     ArmReply,
+    BoardKind,
     BootCause,
     Booted,
     CameraTrigger,
@@ -30,6 +31,8 @@ from annulus.link.messages import (
     Event,
     FaultCode,
     Garbled,
+    Hardware,
+    HardwareReply,
     Identify,
     IdentifyReply,
     Image,
@@ -38,6 +41,9 @@ from annulus.link.messages import (
     ImageWhy,
     Info,
     InfoReply,
+    Interlock,
+    InterlockFlag,
+    InterlockReply,
     Move,
     MoveReply,
     Ping,
@@ -47,6 +53,7 @@ from annulus.link.messages import (
     PolarityReply,
     Preamble,
     PreambleReply,
+    Presence,
     Reply,
     Reread,
     RereadReply,
@@ -174,6 +181,10 @@ class ScriptedController:
                 return ConfigurationReply.unpack(bytes(ok) + stage.pack() + crc.to_bytes(2, "little"))
             case Image():
                 return ImageReply(*ok, 0, 0, ImageWhy.RECORDED, ImageFlash.WHOLE, 0xDEADBEEF)
+            case Hardware():
+                return HardwareReply(*ok, BoardKind.UNKNOWN, Presence.UNKNOWN, InterlockFlag(0))
+            case Interlock(inputs):
+                return InterlockReply(*ok, inputs)
             case Preamble(length, interval):
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):

@@ -127,7 +127,7 @@ class EmulatedBoard:
         self._waiting.append((max(tick, self._now), pin, level))
 
     def wire(self, *wires: tuple[int, int]) -> None:
-        """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled up."""
+        """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled."""
         self._do({"op": "wires", "wires": wires})
 
     def pull(self, *pulls: tuple[int, int]) -> None:

@@ -11,8 +11,11 @@ import pytest
 
 from annulus.capture.camera import Camera, CapturedFrame, grab
 from annulus.cli import main
+from annulus.controller import PIN_INTERLOCK_ANTIVALENT
 from annulus.daemon import check, disk, priority
 from annulus.daemon.check import check_head
+from annulus.link import operate
+from annulus.testing.heads import SimulatedHead
 
 HEAD = """
 [camera]
@@ -51,6 +54,21 @@ def test_a_head_in_order_is_said_to_be_in_order(head: Path) -> None:
     assert not [what for what, (ok, _) in rows.items() if ok is False]
     assert rows["camera 0"][1].endswith("64x48 bgr8, a frame came")
     assert "GB free" in rows["recording"][1] and not list((head.parent / "recordings").iterdir())
+
+
+def test_an_interlock_that_contradicts_itself_is_told_before_the_scan(head: Path) -> None:
+    with SimulatedHead() as controller:
+        head.write_text(
+            HEAD.format(folder=head.parent)
+            + f'[controller]\nport = "{controller.url}"\n[interlock]\nantivalent = true\n'
+        )
+        ok, text = found(head)["controller"]
+        assert ok is False and "contradicts itself: GP7 closed, GP13 open" in text
+        controller.board.input(controller.board.tick, PIN_INTERLOCK_ANTIVALENT, 1)
+        controller.run(0.01)
+        operate.clear(controller.url)
+        assert found(head)["controller"][0] is True
+        assert operate.status(controller.url)["interlock"] == "closed (GP7 and GP13)"
 
 
 @pytest.mark.parametrize("setting", ["1\n", "0\n", None])

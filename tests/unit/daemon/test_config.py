@@ -16,8 +16,9 @@ from annulus.daemon.config import (
     SocketConfig,
     load_config,
 )
-from annulus.daemon.controller_line import pins_for, stage_of
+from annulus.daemon.controller_line import interlock_for, pins_for, stage_of
 from annulus.link.head import PING_NS
+from annulus.link.messages import Interlock, InterlockFlag
 from annulus.link.pins import AS_WIRED, pins_of
 from annulus.vocabulary import AnnulusError
 
@@ -73,6 +74,15 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     assert config.cameras == (CameraConfig(colour_gains=(1.9, 1.6)),)
     assert config.record == RecordConfig() and config.realtime is None
     assert config.log == LogConfig(tmp_path / "head.log")
+
+
+def test_the_interlock_has_one_input_unless_head_toml_says_two(tmp_path: Path) -> None:
+    assert not load_config(write(tmp_path, "")).interlock_antivalent
+    assert interlock_for(load_config(write(tmp_path, ""))) is None
+    config = load_config(write(tmp_path, "[interlock]\nantivalent = true\n"))
+    assert interlock_for(config) == Interlock(InterlockFlag.ANTIVALENT)
+    with pytest.raises(AnnulusError, match="antivalent is 1, expected true or false"):
+        load_config(write(tmp_path, "[interlock]\nantivalent = 1\n"))
 
 
 def test_the_shortest_host_timeout_leaves_room_for_a_lost_ping() -> None:

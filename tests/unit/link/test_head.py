@@ -10,6 +10,8 @@ from annulus.link.messages import (
     Fault,
     FaultCode,
     Identify,
+    Interlock,
+    InterlockFlag,
     Ping,
     Polarity,
     Preamble,
@@ -321,6 +323,30 @@ def test_a_controller_at_work_for_another_host_is_not_disturbed() -> None:
 # ---- optical preambles ----
 
 PREAMBLE = Preamble(15, 100, 0)
+
+
+BOTH = Interlock(InterlockFlag.ANTIVALENT)
+
+
+def test_the_interlocks_inputs_are_told_before_anything_is_armed_and_again_after_a_reset() -> None:
+    bench = Bench(HeadControl(STAGE, interlock=BOTH))
+    bench.run(20)
+    steps = [c for c in bench.commands() if c in (Identify, Arm, Interlock, Stage, Commit)]
+    assert steps == [Identify, Arm, Interlock, Stage, Commit, Arm] and bench.head.phase is Phase.RUNNING
+    bench.controller.reset()
+    bench.run(20)
+    assert [c for c in bench.controller.executed if isinstance(c, Interlock)] == [BOTH, BOTH]
+    assert bench.head.phase is Phase.RUNNING
+    bench = Bench(HeadControl(None, armed=False, interlock=BOTH))
+    bench.run(20)
+    assert Interlock in bench.commands() and bench.head.phase is Phase.IDLE
+
+
+def test_a_controller_that_cannot_look_at_the_second_input_is_never_armed() -> None:
+    bench = Bench(HeadControl(STAGE, interlock=BOTH), ScriptedController(level=2))
+    bench.run(2000)
+    assert bench.head.phase is Phase.REFUSED and "older than this annulus and has no interlock" in bench.head.problem
+    assert ArmFlag.LAMPS not in [c.outputs for c in bench.controller.executed if isinstance(c, Arm)]
 
 
 def preambles(bench: Bench) -> list[Preamble]:

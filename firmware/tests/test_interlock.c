@@ -1,0 +1,162 @@
+// The interlock's second, antivalent input: what it takes away, and when the two are a fault of their own.
+
+#include "../board.h"
+#include "rig.h"
+#include "check.h"
+
+static uint8_t start_train(const uint16_t repeat)
+{
+    uint8_t payload[COMMAND_BURST_LENGTH];
+    command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
+                       payload);
+    return rig_status_of(COMMAND_BURST, payload);
+}
+
+static event_fault_t take_fault(void)
+{
+    event_fault_t fault = {0};
+    const got_t* const got = rig_take(EVENT_FAULT);
+    EXPECT(got != NULL);
+    if (got != NULL) {
+        event_fault_unpack(&fault, got->payload);
+    }
+    return fault;
+}
+
+static const uint8_t second = INTERLOCK_ANTIVALENT;
+
+static void close_both(void)
+{
+    rig_start();
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
+    EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, &second), STATUS_OK);
+    rig_forget();
+}
+
+static uint8_t inputs_now(void)
+{
+    reply_hardware_t reply;
+    reply_hardware_unpack(&reply, rig_command(COMMAND_HARDWARE, NULL));
+    return reply.interlock;
+}
+
+static void either_input_of_the_interlock_cuts_the_microwave_without_the_core(void)
+{
+    static const struct {
+        uint8_t pin, unsafe;
+    } inputs[] = {{PIN_INTERLOCK, 1}, {PIN_INTERLOCK_ANTIVALENT, 0}};
+    for (size_t i = 0; i < 2U; i++) {
+        close_both();
+        rig_arm(ARM_MICROWAVE);
+        EXPECT_EQ(start_train(65535), STATUS_OK);
+        native_stall_cpu(10 * MS);
+        const uint64_t opens = native_tick() + 12345;
+        native_input(opens, inputs[i].pin, inputs[i].unsafe);
+        native_run_until(opens + 50);
+        EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
+        native_input(opens + MS, inputs[i].pin, 1U - inputs[i].unsafe);
+        rig_pass(PERIOD);
+        EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(inputs_now(), INTERLOCK_ANTIVALENT);
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    }
+}
+
+static void inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_own(void)
+{
+    close_both();
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    rig_pass((INTERLOCK_DISAGREE_MS - 1U) * MS);
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);  // a relay that changes over
+    rig_pass(20 * MS);
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
+    rig_pass((INTERLOCK_DISAGREE_MS - 1U) * MS);
+    native_input(native_tick(), PIN_INTERLOCK, 0);
+    rig_pass(20 * MS);
+    EXPECT_EQ(rig_count(EVENT_FAULT), 0);
+
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);  // a wire that broke
+    rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
+    const event_fault_t fault = take_fault();
+    EXPECT_EQ(fault.fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(fault.detail, INTERLOCK_ANTIVALENT | INTERLOCK_ANTIVALENT_OPEN);
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT(rig_status().state & STATE_INTERLOCK_OPEN);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_MICROWAVE}), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    native_input(native_tick(), PIN_INTERLOCK, 1);  // agreed, but on open
+    rig_pass(MS);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    native_input(native_tick(), PIN_INTERLOCK, 0);
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
+    rig_pass(MS);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    rig_pass(20 * MS);
+    EXPECT_EQ(rig_count(EVENT_FAULT), 0);
+}
+
+static void a_contradiction_behind_another_fault_is_told_and_holds_up_clear(void)
+{
+    close_both();
+    rig_arm(ARM_MICROWAVE);
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);
+    rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
+    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
+    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);  // the first cause stays
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
+    rig_pass(MS);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+
+    rig_power_on();
+    close_both();
+    rig_arm(ARM_MICROWAVE);
+    rig_pass(HOST_TIMEOUT_DEFAULT_MS * MS + 2 * MS);
+    EXPECT_EQ(take_fault().fault, FAULT_HOST_TIMEOUT);
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
+    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, (const uint8_t[]){0}), STATUS_OK);  // somebody takes it out of use
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+}
+
+static void a_host_of_an_earlier_level_is_told_of_an_open_interlock(void)
+{
+    close_both();
+    rig_command(COMMAND_INFO, (const uint8_t[]){2});
+    native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);
+    rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
+    const event_fault_t fault = take_fault();
+    EXPECT_EQ(fault.fault, FAULT_INTERLOCK);
+    EXPECT_EQ(fault.detail, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+}
+
+static void the_interlocks_inputs_are_chosen_at_rest_by_who_commands(void)
+{
+    rig_start();
+    rig_pass(20 * MS);  // GP13 is low, and nobody looks
+    EXPECT_EQ(inputs_now(), 0);
+    EXPECT_EQ(rig_count(EVENT_FAULT), 0);
+    EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, (const uint8_t[]){2}), STATUS_OUT_OF_RANGE);
+    rig_arm(ARM_MICROWAVE);
+    EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, &second), STATUS_BAD_STATE);
+    EXPECT_EQ(inputs_now(), 0);
+    rig_arm(0);
+    uint8_t identify[COMMAND_IDENTIFY_LENGTH];
+    command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = 1}, identify);
+    rig_command(COMMAND_IDENTIFY, identify);
+    EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, &second), STATUS_SCHEMA);
+    EXPECT_EQ(inputs_now(), 0);
+}
+
+void interlock_tests(void)
+{
+    RUN(either_input_of_the_interlock_cuts_the_microwave_without_the_core);
+    RUN(inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_own);
+    RUN(a_contradiction_behind_another_fault_is_told_and_holds_up_clear);
+    RUN(a_host_of_an_earlier_level_is_told_of_an_open_interlock);
+    RUN(the_interlocks_inputs_are_chosen_at_rest_by_who_commands);
+}
