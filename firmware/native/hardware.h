@@ -17,6 +17,7 @@ extern struct world {
     uint64_t until;  // end of native_run_until, nothing happens after it
     uint64_t boot_tick;
     uint8_t levels[PIN_COUNT];  // of the pins; only pinuse.c changes them
+    uint8_t inverted;           // POLARITY_*; only pinuse.c changes it
     bool powered;
     bool in_bootloader;
     bool refuse_next;
@@ -48,6 +49,7 @@ uint32_t time_now(void);  // the controller's tick, for this folder: takes nothi
 void pinuse_begin(void);
 void pinuse_start(void);
 void pinuse_drive(uint8_t pin, uint8_t level);  // as if no pin were inverted
+void pinuse_polarity(uint8_t pins, uint8_t inverted);
 uint8_t pinuse_driven(uint8_t pin);             // how it was last driven
 uint8_t pinuse_seen(uint8_t pin);               // an input as the controller sees it
 bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?

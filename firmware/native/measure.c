@@ -29,8 +29,9 @@ static uint32_t levels_now(void)
     uint32_t levels = 0;
     for (uint32_t i = 0; i < 4U; i++) {
         const uint32_t pin = measure.look.first + i;
-        const uint32_t level = (pin == PIN_SYNC) ? pinuse_seen(PIN_SYNC) : (pin < PIN_COUNT) ? world.levels[pin] : 0U;
-        levels |= level << i;
+        const uint32_t level = (pin < PIN_COUNT) ? world.levels[pin] : 0U;
+        const bool turned = (pin == PIN_SYNC) && ((world.inverted & POLARITY_SYNC) != 0U);
+        levels |= (turned ? 1U - level : level) << i;
     }
     return levels;
 }

@@ -11,7 +11,7 @@ static quadrature_t odometer;
 
 static uint8_t lines_now(void)
 {
-    return (uint8_t)(native_pin(PIN_ODOMETER_B) * 2U + native_pin(PIN_ODOMETER_A));
+    return (uint8_t)(world.levels[PIN_ODOMETER_B] * 2U + world.levels[PIN_ODOMETER_A]);
 }
 
 void odometer_start(void)

@@ -16,8 +16,7 @@ static uint8_t ends_touched;
 static uint8_t wires[PIN_COUNT];   // the input an output drives, a tick later; 0 = none
 static uint8_t pulls[PIN_COUNT];   // an output's level while nobody drives it
 static uint8_t driven[PIN_COUNT];  // an output's level by whoever makes it, before the pad inverts it
-static uint8_t gates_driven;       // POLARITY_*, as is the next
-static uint8_t inverted_now;
+static uint8_t gates_driven;       // POLARITY_*
 
 static uint8_t polarity_of(const uint8_t pin)
 {
@@ -30,7 +29,7 @@ static uint8_t polarity_of(const uint8_t pin)
 
 static bool is_inverted(const uint8_t pin)
 {
-    return (inverted_now & polarity_of(pin)) != 0U;
+    return (world.inverted & polarity_of(pin)) != 0U;
 }
 
 void native_wire(const uint8_t from, const uint8_t to)
@@ -52,7 +51,7 @@ void pinuse_begin(void)
     }
     transition_count = 0;
     gates_driven = 0;
-    inverted_now = 0;
+    world.inverted = 0;
     memset(wires, 0, sizeof wires);
 }
 
@@ -108,19 +107,14 @@ void native_pull(const uint8_t pin, const uint8_t level)
     }
 }
 
-void board_polarity(const uint8_t pins, const uint8_t inverted)
+void pinuse_polarity(const uint8_t pins, const uint8_t inverted)
 {
-    time_pass();
-    const uint8_t sync = pinuse_seen(PIN_SYNC);
     gates_driven |= pins & POLARITY_OUTPUTS;
-    inverted_now = (uint8_t)((inverted_now & ~pins) | (inverted & pins));
+    world.inverted = (uint8_t)((world.inverted & ~pins) | (inverted & pins));
     for (uint8_t pin = PIN_PROJECTOR; pin < PIN_COUNT; pin++) {
         if (((OUTPUT_PINS >> pin) & 1U) != 0U) {
             settle(pin);
         }
-    }
-    if ((sync == 1U) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
-        lamps_edge();  // whoever looks sees it fall
     }
 }
 
@@ -133,7 +127,7 @@ uint8_t board_driven(void)
 void pinuse_start(void)
 {
     gates_driven = 0;
-    inverted_now = 0;
+    world.inverted = 0;
     for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
         if ((OUTPUT_PINS >> pin) & 1U) {
             pinuse_drive(pin, (HIGH_AT_RESET_PINS >> pin) & 1U);
