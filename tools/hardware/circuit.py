@@ -126,7 +126,10 @@ def _interlock(board: _Board) -> None:
 
 
 def _sync(board: _Board) -> None:
-    board.part("Connector3", "camera: 1.8 V, sync, ground", _1="camera_1v8", _2="camera_sync", _3="gnd")
+    board.part(
+        "Connector4", "camera: 1.8 V, sync, trigger, ground",
+        _1="camera_1v8", _2="camera_sync", _3="camera_xtr", _4="gnd",
+    )  # fmt: skip
     board.two("C", "100n", "camera_1v8", "gnd")
     board.two("C", "100n", "3v3", "gnd")
     board.part(
@@ -134,6 +137,13 @@ def _sync(board: _Board) -> None:
     )  # A to B
     board.two("R", "100", "sync_3v3", "sync")
     board.two("C", "100p", "sync", "gnd")
+    board.two("R", "33", "camera_trigger", "camera_trigger_in")
+    board.two("R", "10k", "camera_trigger", "gnd")
+    board.two("C", "100n", "camera_1v8", "gnd")
+    board.two("C", "100n", "3v3", "gnd")
+    board.part(
+        "74LVC1T45", VCCA="camera_1v8", VCCB="3v3", GND="gnd", A="camera_xtr", B="camera_trigger_in", DIR="gnd"
+    )  # B to A
 
 
 def _odometer(board: _Board) -> None:

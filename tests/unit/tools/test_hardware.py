@@ -20,7 +20,15 @@ from tools.hardware.oneshot import (
     shown,
 )
 
-DARK = {"projector": "gnd", "led": "gnd", "microwave": "gnd", "trigger": "gnd", "step": "gnd", "direction": "gnd"}
+DARK = {
+    "projector": "gnd",
+    "led": "gnd",
+    "microwave": "gnd",
+    "trigger": "gnd",
+    "camera_trigger": "gnd",
+    "step": "gnd",
+    "direction": "gnd",
+}
 PULLS = {  # an output off, an input open
     **DARK, "enable": "3v3", "interlock": "3v3", "interlock_antivalent": "gnd", "end_low": "3v3", "end_high": "3v3",
 }  # fmt: skip
