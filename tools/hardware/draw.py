@@ -22,7 +22,7 @@ FLOW: dict[str, tuple[tuple[str, str], ...]] = {
     "SR4D4024": tuple((f"{n}3", f"{n}4") for n in "1234"),
 }
 ORDER = ("74LVC1G123", "R", "74LVC1G08")  # where a net leads to several parts
-BOX_W, BOX_H, GAP, ROW, LEFT = 176, 34, 22, 78, 218
+BOX_W, BOX_H, GAP, ROW, LEFT = 212, 34, 22, 78, 254
 FONT = 'font-family="sans-serif" font-size="11"'
 
 
