@@ -19,12 +19,12 @@
 // knows, or null), origin (tick at which the controller's own count began), round ([ticks, when it began] of the main loop's longest that ended since the last answer). --flash-id: the flash chip's 64 bits, 16 hex digits.
 
 import { readFileSync, createWriteStream } from 'node:fs';
-import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
+import { listen } from './listen.mjs';
 import { Fault, Machine } from './machine.mjs';
-import { setPulls } from './pads.mjs';
+import { setPulls, setWires } from './pads.mjs';
 import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
@@ -58,7 +58,7 @@ function answer(machine, op) {
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
-    case 'wires': machine.setWires(op.wires); break;
+    case 'wires': setWires(machine, op.wires); break;
     case 'pulls': setPulls(machine, op.pulls); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
@@ -103,19 +103,6 @@ function drive(machine, vcd) {
     }
     process.stdout.write(JSON.stringify(reply) + '\n');
   });
-}
-
-// One client at a time; the newest takes the place of the one before. Gives back what sends bytes to it.
-function listen(port, name, took, came = () => {}, went = () => {}) {
-  let client;
-  const server = createServer((socket) => {
-    client?.destroy();
-    client = socket.setNoDelay(true);
-    came();
-    socket.on('data', took).on('error', () => {}).on('close', () => { if (client === socket) { client = undefined; went(); } });
-  });
-  server.listen(port, '127.0.0.1', () => process.stdout.write(`${name} on socket://127.0.0.1:${server.address().port}\n`));
-  return (bytes) => { if (client && bytes.length) client.write(bytes); };
 }
 
 // Steps of 2 ms of virtual time, never ahead of the wall clock; behind it when the machine is too slow, which is said.
@@ -172,7 +159,7 @@ try {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
 }
-if (given.wires) machine.setWires(given.wires.split(',').map((wire) => wire.split('-').map(Number)));
+if (given.wires) setWires(machine, given.wires.split(',').map((wire) => wire.split('-').map(Number)));
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
 else serve(machine, given, vcd);

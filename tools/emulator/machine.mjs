@@ -17,7 +17,6 @@ import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
-const USED_PINS = [...INPUT_PINS, ...OUTPUT_PINS];
 const RAM = 0x20000000;
 const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
@@ -30,14 +29,20 @@ const RESET_OF = new Map([
 ]);
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
+// Which pins somebody outside may drive, which ones the image may, and what undriven inputs are pulled to.
+const CONTROLLER = { inputs: INPUT_PINS, outputs: OUTPUT_PINS, pulledTo: () => 1 };
+
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f') {
+  constructor(uf2, flashId = 'e6616408438a1c2f', pins = CONTROLLER) {
+    this.inputPins = pins.inputs;
+    this.outputPins = pins.outputs;
+    this.onPin = () => {}; // (pin, tick): one of the outputs may have changed
     this.flash = readUf2(uf2);
     this.flashChip = new Flash(this.flash, Buffer.from(flashId, 'hex'), (at, size) => this.chip.flash.set(this.flash.subarray(at, at + size), at));
     this.ssi = new Ssi(this.flashChip);
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
-    this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
+    this.levels = new Map(this.inputPins.map((pin) => [pin, pins.pulledTo(pin)])); // until somebody drives them
     this.pinLevels = new Map();
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
@@ -99,11 +104,11 @@ export class Machine {
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
     this.quietUntil = this.now;
-    for (const index of USED_PINS) {
+    for (const index of [...this.inputPins, ...this.outputPins]) {
       const pin = chip.gpio[index];
       putBehindOverride(pin);
       pin.addListener(() => this.note(index));
-      if (OUTPUT_PINS.includes(index)) this.note(index);
+      if (this.outputPins.includes(index)) this.note(index);
     }
     for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
     for (const pin of chip.gpio) pin.irqStatus = 0;
@@ -127,8 +132,10 @@ export class Machine {
 
   note(index) {
     const pin = this.chip.gpio[index];
-    if (!OUTPUT_PINS.includes(index)) return;
+    if (!this.outputPins.includes(index)) return;
+    this.onPin(index, this.stamp ?? this.now);
     const level = padLevel(pin, this.pulls.get(index));
+    if (this.stamp === undefined && pin.rawInputValue !== (level === 1)) this.sync(); // the processor did it: the PIO saw before what was before
     pin.rawInputValue = level === 1;
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
@@ -310,25 +317,26 @@ export class Machine {
 
   rawInputs() {
     let raw = 0;
-    for (const pin of USED_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of this.inputPins) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of this.outputPins) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
     return raw;
   }
 
   gpioIn() { return this.rawInputs() >>> 0; }
 
   updatePins() {
-    for (const pin of OUTPUT_PINS) this.chip.gpio[pin].checkForUpdates();
+    for (const pin of this.outputPins) this.chip.gpio[pin].checkForUpdates();
   }
 
-  // Bring the hardware to `now`.
-  sync() {
+  // Bring the hardware to this tick.
+  sync(tick = this.now) {
     if (this.isTransferring) return; // the DMA is part of the hardware being run
-    this.runHardware(this.now);
-    if (this.hardwareTick < this.now) {
-      const cycles = this.now - this.hardwareTick;
+    this.runHardware(tick);
+    if (this.hardwareTick < tick) {
+      const cycles = tick - this.hardwareTick;
       for (const pio of this.pios) pio.skip(cycles);
-      this.hardwareTick = this.now;
-      this.quietUntil = this.now;
+      this.hardwareTick = tick;
+      this.quietUntil = tick;
     }
   }
 
@@ -447,7 +455,7 @@ export class Machine {
   }
 
   input(tick, pin, level) {
-    if (!INPUT_PINS.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
+    if (!this.inputPins.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
     let at = this.inputs.length;
     while (at > 0 && this.inputs[at - 1][0] > tick) at--;
     this.inputs.splice(at, 0, [tick, pin, level]);
@@ -458,15 +466,6 @@ export class Machine {
     if (this.levels.get(pin) === level) return;
     this.levels.set(pin, level);
     this.chip.gpio[pin].setInputValue(level === 1);
-  }
-
-  // Jumpers, [output, input] each, in place of those before. An input let go is pulled up again.
-  setWires(wires) {
-    for (const [from, to] of wires) if (!OUTPUT_PINS.includes(from) || !INPUT_PINS.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
-    this.sync();
-    for (const to of this.wires.values()) this.drive(to, 1);
-    this.wires = new Map(wires);
-    for (const [from, to] of wires) this.drive(to, this.pinLevels.get(from) ?? 0);
   }
 
   write_serial(bytes) { this.uart.feed(bytes, this.now); }
