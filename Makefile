@@ -36,10 +36,11 @@ $(UV):
 native:
 	@$(MAKE) --silent -C firmware native
 
-# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed; the first also in host/annulus/shipped.
+# The images for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed, and rig.uf2 for a second one that tests
+# the first; both UF2 also in host/annulus/shipped.
 firmware:
 	@tools/need.sh gcc-arm-none-eabi
-	@$(MAKE) --silent -C firmware image
+	@$(MAKE) --silent -C firmware image rig
 
 # What runs that image without a board.
 emulator: tools/emulator/node_modules/.package-lock.json

@@ -19,6 +19,10 @@
 #define DATA_IN_ADDRESS 0x82U
 #define DATA_OUT_ADDRESS 0x02U
 
+#ifndef USB_PRODUCT
+#define USB_PRODUCT "annulus controller"
+#endif
+
 enum { STRING_LANGUAGES, STRING_MAKER, STRING_PRODUCT, STRING_SERIAL, STRINGS };
 
 // USB 2.0; functions of several interfaces, told by an interface association; packets of endpoint 0; Raspberry Pi,
@@ -151,7 +155,7 @@ static void answer_string(const setup_t* const setup, const uint32_t index)
         answer(setup, languages, sizeof languages);
         return;
     }
-    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", (const char*)board_serial_number()};
+    const char* const texts[STRINGS] = {"", "annulus", USB_PRODUCT, (const char*)board_serial_number()};
     uint8_t at = 2;
     for (const char* text = texts[index]; *text != '\0'; text++) {
         control.made[at++] = (uint8_t)*text;

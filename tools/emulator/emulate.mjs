@@ -20,11 +20,11 @@
 // --board pico | pico-w | other: what carries the chip.
 
 import { readFileSync, createWriteStream } from 'node:fs';
-import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
 import { letGo, setWires } from './inputs.mjs';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
+import { listen } from './listen.mjs';
 import { Fault, Machine } from './machine.mjs';
 import { setPulls } from './pads.mjs';
 import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
@@ -106,19 +106,6 @@ function drive(machine, vcd) {
     }
     process.stdout.write(JSON.stringify(reply) + '\n');
   });
-}
-
-// One client at a time; the newest takes the place of the one before. Gives back what sends bytes to it.
-function listen(port, name, took, came = () => {}, went = () => {}) {
-  let client;
-  const server = createServer((socket) => {
-    client?.destroy();
-    client = socket.setNoDelay(true);
-    came();
-    socket.on('data', took).on('error', () => {}).on('close', () => { if (client === socket) { client = undefined; went(); } });
-  });
-  server.listen(port, '127.0.0.1', () => process.stdout.write(`${name} on socket://127.0.0.1:${server.address().port}\n`));
-  return (bytes) => { if (client && bytes.length) client.write(bytes); };
 }
 
 // Steps of 2 ms of virtual time, never ahead of the wall clock; behind it when the machine is too slow, which is said.

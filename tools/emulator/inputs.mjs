@@ -1,11 +1,10 @@
 // Input pins that nobody drives, and jumpers to them.
 
-import { INPUT_PINS, OUTPUT_PINS } from './controller.mjs';
 import { fault } from './fault.mjs';
 
 // An input that nobody drives is what its pad pulls it to.
 export function pull(machine, pin) {
-  if (!INPUT_PINS.includes(pin) || machine.held.has(pin)) return;
+  if (!machine.inputPins.includes(pin) || machine.held.has(pin)) return;
   const pulls = (machine.chip.gpio[pin].padValue >>> 2) & 3; // 1: down, 2: up
   if (pulls === 0 || pulls === 3) fault(`GP${pin} is driven by nobody and pulled ${pulls ? 'both ways' : 'nowhere'}: its level is anybody's guess`);
   machine.sync();
@@ -20,7 +19,7 @@ export function letGo(machine, pin) {
 
 // Jumpers, [output, input] each, in place of those before.
 export function setWires(machine, wires) {
-  for (const [from, to] of wires) if (!OUTPUT_PINS.includes(from) || !INPUT_PINS.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
+  for (const [from, to] of wires) if (!machine.outputPins.includes(from) || !machine.inputPins.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
   machine.sync();
   for (const to of machine.wires.values()) letGo(machine, to);
   machine.wires = new Map(wires);

@@ -13,27 +13,25 @@ import { Flash } from './flash.mjs';
 import { Loop, SysTick } from './loop.mjs';
 import { padLevel, putBehindOverride, writePinControl } from './pads.mjs';
 import { Pio } from './pio.mjs';
+import { RESET_BITS, RESET_OF, ALWAYS_ON } from './resets.mjs';
 import { Ssi } from './ssi.mjs';
 import { Trap } from './trap.mjs';
 import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
-const USED_PINS = [...INPUT_PINS, ...OUTPUT_PINS];
 const RAM = 0x20000000;
 const LOADER_RAM = 0x20041000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
-const RESET_BITS = { adc: 0, dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
-const RESET_OF = new Map([
-  [0x40014, 'io'], [0x40018, 'qspi'], [0x4001c, 'pads'], [0x40020, 'padsQspi'], [0x40028, 'pllSys'], [0x4002c, 'pllUsb'],
-  [0x40034, 'uart0'], [0x4004c, 'adc'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
-]);
-const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
+const CONTROLLER = { inputs: INPUT_PINS, outputs: OUTPUT_PINS }; // pins that somebody outside may drive, and those that the image may
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f', board = 'pico') {
+  constructor(uf2, flashId = 'e6616408438a1c2f', board = 'pico', pins = CONTROLLER) {
+    this.inputPins = pins.inputs;
+    this.outputPins = pins.outputs;
+    this.onPin = () => {}; // (pin, tick): one of the outputs may have changed
     this.flash = readUf2(uf2);
     this.flashChip = new Flash(this.flash, Buffer.from(flashId, 'hex'), (at, size) => this.chip.flash.set(this.flash.subarray(at, at + size), at));
     this.ssi = new Ssi(this.flashChip);
@@ -105,13 +103,13 @@ export class Machine {
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
     this.quietUntil = this.now;
-    for (const index of USED_PINS) {
+    for (const index of [...this.inputPins, ...this.outputPins]) {
       const pin = chip.gpio[index];
       putBehindOverride(pin);
       pin.addListener(() => this.note(index));
-      if (OUTPUT_PINS.includes(index)) this.note(index);
+      if (this.outputPins.includes(index)) this.note(index);
     }
-    for (const pin of INPUT_PINS) if (!this.held.has(pin)) this.levels.set(pin, 0); // pads at reset pull down (2.19.6.3)
+    for (const pin of this.inputPins) if (!this.held.has(pin)) this.levels.set(pin, 0); // pads at reset pull down (2.19.6.3)
     for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
     for (const pin of chip.gpio) pin.irqStatus = 0;
     this.bindBus();
@@ -134,8 +132,10 @@ export class Machine {
 
   note(index) {
     const pin = this.chip.gpio[index];
-    if (!OUTPUT_PINS.includes(index)) return;
+    if (!this.outputPins.includes(index)) return;
+    this.onPin(index, this.stamp ?? this.now);
     const level = padLevel(pin, this.pulls.get(index));
+    if (this.stamp === undefined && pin.rawInputValue !== (level === 1)) this.sync(); // the processor did it: the PIO saw before what was before
     pin.rawInputValue = level === 1;
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
@@ -314,25 +314,26 @@ export class Machine {
 
   rawInputs() {
     let raw = 0;
-    for (const pin of USED_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of this.inputPins) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of this.outputPins) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
     return raw;
   }
 
   gpioIn() { return this.rawInputs() >>> 0; }
 
   updatePins() {
-    for (const pin of OUTPUT_PINS) this.chip.gpio[pin].checkForUpdates();
+    for (const pin of this.outputPins) this.chip.gpio[pin].checkForUpdates();
   }
 
-  // Bring the hardware to `now`.
-  sync() {
+  // Bring the hardware to this tick.
+  sync(tick = this.now) {
     if (this.isTransferring) return; // the DMA is part of the hardware being run
-    this.runHardware(this.now);
-    if (this.hardwareTick < this.now) {
-      const cycles = this.now - this.hardwareTick;
+    this.runHardware(tick);
+    if (this.hardwareTick < tick) {
+      const cycles = tick - this.hardwareTick;
       for (const pio of this.pios) pio.skip(cycles);
-      this.hardwareTick = this.now;
-      this.quietUntil = this.now;
+      this.hardwareTick = tick;
+      this.quietUntil = tick;
     }
   }
 
@@ -451,7 +452,7 @@ export class Machine {
   }
 
   input(tick, pin, level) {
-    if (!INPUT_PINS.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
+    if (!this.inputPins.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
     let at = this.inputs.length;
     while (at > 0 && this.inputs[at - 1][0] > tick) at--;
     this.inputs.splice(at, 0, [tick, pin, level]);

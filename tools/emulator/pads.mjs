@@ -2,7 +2,7 @@
 // output, which rp2040js has for values and not for interrupts, and resistors outside for pads that nobody drives.
 
 import { GPIOPinState } from 'rp2040js';
-import { INPUT_PINS, OUTPUT_PINS } from './controller.mjs';
+import { fault } from './fault.mjs';
 
 const EDGE_HIGH = 8;
 const EDGE_LOW = 4;
@@ -39,13 +39,13 @@ export function writePinControl(machine, offset, value, kind) {
   machine.quietUntil = machine.hardwareTick;
   chip.findPeripheral(0x40014000).writeUint32Atomic(offset, value, kind);
   const index = offset >> 3;
-  if (INPUT_PINS.includes(index)) chip.gpio[index].setInputValue(machine.levels.get(index) === 1);
-  else if (OUTPUT_PINS.includes(index)) machine.note(index);
+  if (machine.inputPins.includes(index)) chip.gpio[index].setInputValue(machine.levels.get(index) === 1);
+  else if (machine.outputPins.includes(index)) machine.note(index);
 }
 
 // Resistors outside, [output, level] each, in place of those before: what its pad shows while nobody drives it.
 export function setPulls(machine, pulls) {
   machine.sync();
   machine.pulls = new Map(pulls);
-  for (const pin of OUTPUT_PINS) machine.note(pin);
+  for (const pin of machine.outputPins) machine.note(pin);
 }

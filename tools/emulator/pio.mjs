@@ -106,7 +106,7 @@ class Machine {
       case 2: {
         const count = arg || 32;
         const mask = count === 32 ? 0xffffffff : (1 << count) - 1;
-        if (this.wouldPush(count) && this.rx.length === FIFO_DEPTH) return false;
+        if (this.wouldPush(count) && this.rx.length === FIFO_DEPTH) { pio.debug |= 1 << this.index; return false; }
         const value = (this.source((word >>> 5) & 7) & mask) >>> 0;
         if ((this.shiftctrl >>> 18) & 1) fault('IN to the right is not modelled');
         this.isr = count === 32 ? value : ((this.isr << count) | value) >>> 0;
@@ -140,12 +140,13 @@ class Machine {
         const block = (word >>> 5) & 1;
         if ((word >>> 7) & 1) {
           if (this.tx.length > 0) this.osr = this.tx.shift();
-          else if (block) return false;
+          else if (block) { pio.debug |= 1 << (24 + this.index); return false; }
           else this.osr = this.x;
           this.osrCount = 0;
           pio.touched = true;
         } else {
           if (this.rx.length === FIFO_DEPTH) {
+            pio.debug |= 1 << this.index;
             if (block) return false;
             pio.dropped[this.index]++;
           } else this.rx.push(this.isr);
@@ -317,6 +318,7 @@ export class Pio {
     this.first = 0; // flip-flop behind the pads
     this.touched = false;
     this.dropped = [0, 0, 0, 0];
+    this.debug = 0; // FDEBUG: bits 3:0 a full RX FIFO was met, 27:24 an empty TX FIFO
   }
 
   // One clk_sys cycle; `raw` = levels at the pads, where their inputs are enabled. True: an output changed.
@@ -374,6 +376,7 @@ export class Pio {
       case 0x04:
         return (by((m) => m.tx.length === 0) << 24) | (by((m) => m.tx.length === FIFO_DEPTH) << 16) |
                (by((m) => m.rx.length === 0) << 8) | by((m) => m.rx.length === FIFO_DEPTH);
+      case 0x08: return this.debug >>> 0;
       case 0x0c:
         return this.state.reduce((sum, m, i) => sum | (m.tx.length << (8 * i)) | (m.rx.length << (8 * i + 4)), 0);
       case 0x20: case 0x24: case 0x28: case 0x2c: {
@@ -423,6 +426,7 @@ export class Pio {
         fifo.push(value);
         return;
       }
+      case 0x08: this.debug &= ~value; return;
       case 0x30: this.flags &= ~value; return;
     }
     fault(`PIO${this.number}: write of register ${hex(offset)} is not modelled`);

@@ -44,8 +44,9 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
         (build / "build.json").write_text(json.dumps(about) + "\n")
         made = {build / "build.json": "build.json", native(root, machine, build): "libannulus_native.so"}
         if os.environ.get("ANNULUS_IMAGE") != "no":
-            _run("make", "--silent", "-C", str(root / "firmware"), "image")
-            made[root / "firmware/build/annulus.uf2"] = "annulus.uf2"
+            _run("make", "--silent", "-C", str(root / "firmware"), "image", "rig")
+            for image in ("annulus.uf2", "rig.uf2"):
+                made[root / "firmware/build" / image] = image
         manual = root / "host/annulus/shipped/manual"
         if manual.is_dir():
             made[manual] = "manual"

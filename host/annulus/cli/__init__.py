@@ -22,6 +22,7 @@ from annulus.cli import (
     pattern,
     record,
     reference,
+    selftest,
     tai,
     twin,
 )
@@ -56,7 +57,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, reference, pattern, tai, joint, bore, archive, firmware, twin, record):
+for _noun in (head, burst, calibrate, reference, pattern, tai, joint, bore, archive, firmware, selftest, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 

@@ -44,6 +44,7 @@ from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
 from tools.bench.fuzz.recordings import mcap_case, mcap_read, packed_case
+from tools.bench.fuzz.rig_lines import rig_case, rig_read
 
 ROOT = Path(__file__).parents[3]
 BEFORE = ROOT / "tests/data/before"
@@ -409,6 +410,7 @@ def _transducer_read(data: bytes, folder: Path) -> None:
 
 TARGETS: dict[str, Target] = {
     "link": Target(_link_case, _link_read),
+    "rig": Target(rig_case, rig_read),
     "control": Target(_control_case, _control_read, (ValueError,)),
     "mcap": Target(mcap_case, mcap_read),
     "packed": Target(packed_case, mcap_read),

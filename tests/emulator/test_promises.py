@@ -1,0 +1,38 @@
+"""Every promise that the rig asks of a board, asked of the image on the emulator: to the tick, without its slack."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from emulated import EmulatedBoard
+from promises_on_image import PromiseBoard
+
+from annulus.selftest.rig.promises import Promise
+from annulus.selftest.rig.run import chosen
+
+NAMES = re.compile(r"^def (test_\w+)", re.MULTILINE)
+GATE = "no jitter under a flood and a train"
+
+
+def cases() -> list[object]:
+    deep = pytest.mark.deep(gate="tests/emulator/test_promises.py::test_the_image_keeps_what_the_rig_asks")
+    return [pytest.param(p, id=p.name.replace(" ", "_"), marks=[] if p.name == GATE else deep) for p in chosen(None)]
+
+
+@pytest.mark.parametrize("promise", cases())
+def test_the_image_keeps_what_the_rig_asks(board: EmulatedBoard, promise: Promise) -> None:
+    print(promise.check(PromiseBoard(board)))
+
+
+def test_every_promise_stands_for_tests_that_are_there() -> None:
+    """rig.toml says which of the tests of this folder the rig asks of a board."""
+    listed = tomllib.loads(Path(__file__).with_name("rig.toml").read_text())
+    here = {name for file in Path(__file__).parent.glob("test_*.py") for name in NAMES.findall(file.read_text())}
+    named = {name for names in listed["asserted"].values() for name in names}
+    assert named == {promise.name for promise in chosen(None)}
+    assert set(listed["asserted"]) <= here
+    impossible = [name for names in listed["impossible"].values() for name in names]
+    assert set(impossible) <= here
+    assert not set(impossible) & set(listed["asserted"])
+    print(f"{len(listed['asserted'])} tests by {len(named)} promises, {len(impossible)} that a rig cannot ask")
