@@ -30,7 +30,7 @@ void outputs_off(void);
 // Until something happens, 100 us at most.
 void time_sleep(void);
 
-// Write a register, and the tick a constant few before: no interrupt comes between.
+// Write a register, and the tick two before: nothing comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);
 
 // The application itself: what the loader handed over, and, a little each round, whether it is still what was flashed.
@@ -158,7 +158,9 @@ void lamps_follow(uint32_t pin);
 // Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
 enum { GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_SPENT = 7, GUARD_CUT = 11 };
-#define START_OFFSET 24U      // from the tick read before a machine of PIO1 starts to its first level
+// From the tick that time_of_write gives to the first level of the machine of PIO1 that it starts: 2 cycles from LDR to
+// STR, 1 until the machine runs, 1 until the level is at the pin.
+#define START_OFFSET 4U
 #define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
 #define ODOMETER_PROGRAM_LENGTH 7U
 #define MEASURE_PROGRAM 26U  // in PIO1, at the end

@@ -68,9 +68,11 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 
 // Cycles SYNC spends per accepted edge without counting: 3..10 with a delay, and 13..15 with a delay.
 #define UNCOUNTED_TICKS 12U
-// From the tick read as both machines start to SYNC's first count, less its way from pin to stamp.
-#define STAMP_OFFSET 19U
-// Ticks of an accepted edge's dead time that are not in the loop.
+// From SYNC's first count to the tick that time_of_write gives as it starts, and from pin to stamp: 2 from LDR to STR
+// and 1 until it runs, less 2 of the pin's synchroniser and 2 from the look that finds the edge to the next count.
+#define STAMP_BEFORE 1U
+// Ticks from an accepted edge to the next that can be, beside two for each count: 8 from the look that found it to the
+// loop, 2 for the pass with which the loop ends, 4 to the first look, 4 more to the one that finds an edge behind it.
 #define HOLDOFF_OVERHEAD 18U
 #define LAMP_WIDTH_MIN_TICKS 2U
 #define HOLDOFF_AT_RESET_TICKS 100000U
@@ -185,10 +187,11 @@ int32_t board_odometer(void)
 
 void board_health(board_health_t* const health)
 {
-    *health = (board_health_t){.odometer_lost = odometer_state()->lost,
-                               .odometer_impossible = odometer_state()->impossible,
-                               .edges_dropped = 0,  // the ring holds more than the watchdog lets come
-                               .usb_hangs = usb_hangs()};
+    *health = (board_health_t){
+        .odometer_lost = odometer_state()->lost,
+        .odometer_impossible = odometer_state()->impossible,
+        .edges_dropped = 0,  // the ring holds 128, the watchdog lets 100 come: no round waits for the flash any more
+        .usb_hangs = usb_hangs()};
 }
 
 // ---- flashes ----
@@ -374,6 +377,6 @@ void lamps_start(void)
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = FLAG_SET(LOOK);
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = JMP(HIGH);
     start_rings();
-    lamps.start = STAMP_OFFSET +
-                  time_of_write(SET_ADDRESS(PIO_CTRL(PIO0)), PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE));
+    const uint32_t machines = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
+    lamps.start = time_of_write(SET_ADDRESS(PIO_CTRL(PIO0)), machines) - STAMP_BEFORE;
 }

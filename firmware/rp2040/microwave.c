@@ -45,8 +45,9 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define LIST_MAX 256U
 #define LOW_FOR_EVER 0xFFFFFFFEU                             // for 21 s
 #define TAIL_TICKS (FIFO_WORDS * PIECE_TICKS + PIECE_TICKS)  // low at a list's end, to be cut into short words
-#define COMMIT_TICKS                                                                                                   \
-    48  // from the tick read before the first words are written until they are; and what DMA may be late
+// From the tick read before the first words are written until they are, some 30 cycles by the listing; and 8 that DMA
+// may be behind its request.
+#define COMMIT_TICKS 48
 #define LEAD_TICKS 200U  // from the start to the first thing that may happen
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
