@@ -109,6 +109,11 @@ class _Sending:
                 raise AnnulusError("another host identified meanwhile")
         elif reply.status is StatusCode.OUT_OF_RANGE and reply.detail == UpdateBegin.FIELDS.index("board"):
             raise UpdateRefused(f"{self._port}: the controller is for another board, the image for {self._new.board}")
+        elif reply.status is StatusCode.OUT_OF_RANGE and reply.detail == UpdateBegin.FIELDS.index("size"):
+            raise UpdateRefused(
+                f"{here}: it has no room for {len(self._new.data)} bytes, as firmware from before two slots."
+                " Flash it once over USB."
+            )
         elif reply.status is StatusCode.SCHEMA:
             raise AnnulusError("another host has the session")
         elif reply.status is not StatusCode.OK:

@@ -173,6 +173,9 @@ def test_a_line_that_stays_away_is_told_with_how_far_it_came(monkeypatch: pytest
 def test_what_cannot_help_is_not_tried_again() -> None:
     image = image_of(whole())
     assert "another board, the image for rp2040" in why(Updating(board=b"native\0\0"), image, UpdateRefused)
+    small = Updating()
+    small.refuse[UpdateBegin] = (StatusCode.OUT_OF_RANGE, 0)  # of 28 KiB, in one slot
+    assert "no room for" in why(small, image, UpdateRefused)
     armed = Updating()
     armed.refuse[UpdateBegin] = (StatusCode.BAD_STATE, 0)
     assert "annulus head disarm" in why(armed, image, UpdateRefused)
