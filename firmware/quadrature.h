@@ -10,7 +10,7 @@
 #define QUADRATURE_KEPT 512U        // in the ring
 #define QUADRATURE_HELD 448U        // of these, decoded; the rest is room for what comes meanwhile
 #define QUADRATURE_AT_ONCE 16U      // decoded before another look: at the fastest, fewer than that room comes meanwhile
-#define QUADRATURE_WRAP (1U << 31)  // transitions are counted modulo this, a multiple of the ring
+#define QUADRATURE_WRAP (1U << 27)  // transitions are counted modulo this, a multiple of the ring: DMA counts no more
 
 typedef struct {
     uint32_t decoded;  // transitions so far, lost ones included

@@ -423,5 +423,5 @@ void bench_start(void)
     pio_load(PIO1, SAMPLE, sampler, sizeof sampler / sizeof sampler[0]);
     halt();
     watch_slow_pins(0U);
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
 }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rp2040"))
 
-from uf2 import BOOT2_BYTES, FLASH_START, crc32_boot2, segments, uf2
+from uf2 import BOOT2_BYTES, FAMILIES, FLASH_START, crc32_boot2, segments, uf2
 
 
 def main(elf_path: Path, uf2_path: Path) -> None:
@@ -17,7 +17,7 @@ def main(elf_path: Path, uf2_path: Path) -> None:
             image = image.ljust(physical - FLASH_START, b"\0") + elf[offset : offset + in_file]
     image[BOOT2_BYTES - 4 : BOOT2_BYTES] = struct.pack("<I", crc32_boot2(bytes(image[: BOOT2_BYTES - 4])))
     print(f"rig: flash {len(image)} bytes")
-    uf2_path.write_bytes(uf2(bytes(image)))
+    uf2_path.write_bytes(uf2(bytes(image), FAMILIES["rp2040"]))
 
 
 if __name__ == "__main__":

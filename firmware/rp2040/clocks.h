@@ -45,9 +45,9 @@ static inline bool pll_starts(const uint32_t pll, const uint32_t reset, const ui
 // Both PLLs, and the clocks they drive. What fails leaves the clocks before it.
 static inline uint32_t clocks_start(void)
 {
-    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;  // 1 us for watchdog and timer, once the crystal is clk_ref
-    REGISTER(XOSC_CTRL) = 0xAA0U;               // 1..15 MHz
-    REGISTER(XOSC_STARTUP) = 47U;               // 1 ms in units of 256 cycles
+    microseconds_start();
+    REGISTER(XOSC_CTRL) = 0xAA0U;  // 1..15 MHz
+    REGISTER(XOSC_STARTUP) = 47U;  // 1 ms in units of 256 cycles
     SET_BITS(XOSC_CTRL) = 0xFABU << 12;
     REGISTER(CLK_SYS_CTRL) = 0U;  // from clk_ref while the PLL is set up
     if (!clock_came(CLK_SYS_SELECTED, 1U << 0) || !clock_came(XOSC_STATUS, 1U << 31)) {

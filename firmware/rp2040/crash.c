@@ -80,12 +80,12 @@ void crash_start(const uint8_t cause, const uint8_t boot)
     memory.trail = (board_trail_t){.part = PART_START, .command = BOARD_NO_COMMAND};
     memory.place.kind = CRASH_NONE;
     // The alarm goes before every other interrupt: one that never ends is found as well.
-    for (uint32_t word = 0; word < 7U; word++) {
+    for (uint32_t word = 0; word < (IRQS + 3U) / 4U; word++) {
         REGISTER(NVIC_PRIORITY(word)) = 0x40404040U;
     }
     REGISTER(NVIC_PRIORITY(0U)) = 0x40404040U & ~(0xFFU << (8U * IRQ_TIMER1));
     SET_BITS(TIMER_INTE) = 1U << 1;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_TIMER1;
+    irq_enable(IRQ_TIMER1);
 }
 
 void crash_measure(void)

@@ -8,6 +8,7 @@
 #include <stdint.h>
 
 #include "../quadrature.h"
+#include "registers.h"
 
 // In the order in which they must be called after reset.
 void identity_start(void);
@@ -59,7 +60,7 @@ uint32_t guard_cut_tick(bool* starved);
 // A train is to end, and every round tries to find the moment for it.
 bool microwave_hurries(void);
 
-// Outlives every reset but the loss of power, in WATCHDOG_SCRATCH2: this firmware ran before. The low byte: how it
+// Outlives every reset but the loss of power, in WATCHDOG_KEPT_CAUSE: this firmware ran before. The low byte: how it
 // ended.
 #define SCRATCH_MAGIC 0x616E6E00U
 #define SCRATCH_BY_HOST 1U
@@ -85,6 +86,7 @@ volatile uint32_t* odometer_lend(void);
 // `variant_vbus_back` is asked and it is there. From the pins' interrupt: an edge of it.
 void variant_prepare(void);  // first of all: a divider has to settle
 void variant_start(void);
+bool variant_senses_vbus(void);
 void variant_vbus_edge(bool fell);
 bool variant_vbus(void);
 bool variant_vbus_back(void);
@@ -100,14 +102,27 @@ static inline void interrupts_on(void)
     __asm volatile("cpsie i" ::: "memory");
 }
 
+static inline void irq_enable(const uint32_t irq)
+{
+    REGISTER(NVIC_ENABLE(irq)) = 1U << (irq % 32U);
+}
+
+static inline void irq_disable(const uint32_t irq)
+{
+    REGISTER(NVIC_DISABLE(irq)) = 1U << (irq % 32U);
+}
+
 // Give a pin to a peripheral, with this pad.
 void pin_use(uint32_t pin, uint32_t function, uint32_t pad);
 
-// End what a channel does, without another word.
+// End what a channel does, without another word; the one it is chained to does not go on.
 void dma_stop(uint32_t channel);
 
 // Load a PIO program at `first`.
 void pio_load(uint32_t pio, uint32_t first, const uint16_t* program, uint32_t length);
+
+// Eight bytes that no other board has, one a word.
+void unique_id(uint32_t id[8]);
 
 // Boot byte of the start before this one, if the memory still knows it; until crash_start.
 bool crash_knows_boot(uint8_t* boot);

@@ -27,10 +27,10 @@ static uint16_t random_16(void)
 }
 
 // Another byte than the one before, if anything remembers that: the scratch register through every reset, the memory
-// even through a loss of power that was short. The boot ROM uses scratch registers 0, 1 and 4 to 7 for itself.
+// even through a loss of power that was short.
 static void find_cause(void)
 {
-    const uint32_t scratch = REGISTER(WATCHDOG_SCRATCH2);
+    const uint32_t scratch = REGISTER(WATCHDOG_KEPT_CAUSE);
     const bool ran_before = (scratch & 0xFFFFFF00U) == SCRATCH_MAGIC;
     const bool by_host = (scratch & 0xFFU) == SCRATCH_BY_HOST;
     if (!ran_before || (REGISTER(WATCHDOG_REASON) == 0U)) {
@@ -38,10 +38,10 @@ static void find_cause(void)
     } else {
         cause = by_host ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG;
     }
-    uint8_t last = (uint8_t)REGISTER(WATCHDOG_SCRATCH3);
+    uint8_t last = (uint8_t)REGISTER(WATCHDOG_KEPT_BOOT);
     boot = (ran_before || crash_knows_boot(&last)) ? (uint8_t)(last + 1U) : (uint8_t)nonce;
-    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC;
-    REGISTER(WATCHDOG_SCRATCH3) = boot;
+    REGISTER(WATCHDOG_KEPT_CAUSE) = SCRATCH_MAGIC;
+    REGISTER(WATCHDOG_KEPT_BOOT) = boot;
 }
 
 uint8_t board_boot(void)
@@ -61,21 +61,15 @@ uint8_t board_cause(void)
 
 const uint8_t* board_name(void)
 {
-    static const uint8_t name[8] = "rp2040";
+    static const uint8_t name[8] = BOARD_NAME;
     return name;
 }
 
-// The flash's own unique id (command 4Bh, four bytes of nothing, eight of id): the RP2040 has none.
 static void find_serial_number(void)
 {
     static const uint8_t digits[] = "0123456789ABCDEF";
     uint32_t id[8];
-    flash_select(8U);
-    REGISTER(SSI_DATA) = FLASH_UNIQUE_ID;
-    for (uint32_t i = 0; i < 12U; i++) {
-        REGISTER(SSI_DATA) = 0U;
-    }
-    flash_take(13U, id, 8U);
+    unique_id(id);
     for (uint32_t i = 0; i < 8U; i++) {
         serial_number[2U * i] = digits[(id[i] >> 4) & 0xFU];
         serial_number[2U * i + 1U] = digits[id[i] & 0xFU];

@@ -32,9 +32,9 @@ void serial_handler(void)
 static size_t uart_receive(uint8_t* const bytes, const size_t size)
 {
     if (received_in == received_out) {
-        REGISTER(NVIC_DISABLE) = 1U << IRQ_UART0;
+        irq_disable(IRQ_UART0);
         take_received();
-        REGISTER(NVIC_ENABLE) = 1U << IRQ_UART0;
+        irq_enable(IRQ_UART0);
     }
     size_t given = 0;
     while ((given < size) && (received_out != received_in)) {
@@ -97,5 +97,5 @@ void lines_start(void)
     REGISTER(UART_IFLS) = 0U;                      // interrupt from four bytes on
     REGISTER(UART_CR) = (1U << 9) | (1U << 8) | 1U;
     REGISTER(UART_IMSC) = UART_RX_INTERRUPT;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_UART0;
+    irq_enable(IRQ_UART0);
 }

@@ -30,13 +30,13 @@ __attribute__((section(".loader.vectors"), used)) static const entry_t vectors[2
 
 static void watchdog_kick(void)
 {
-    REGISTER(WATCHDOG_LOAD) = LOADER_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+    REGISTER(WATCHDOG_LOAD) = LOADER_WATCHDOG_MS * WATCHDOG_COUNTS_A_MS;
 }
 
 // From the second stage, with nothing set up but the flash. Without a crystal all this takes sixteen times as long.
 IN_FLASH void loader_enter(void)
 {
-    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;
+    microseconds_start();
     REGISTER(PSM_WDSEL) = PSM_ALL_BUT_OSCILLATORS;
     watchdog_kick();
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
@@ -125,6 +125,7 @@ IN_RAM __attribute__((noreturn)) static void start(const uint32_t handover)
 {
     watchdog_kick();
     REGISTER(VECTORS) = (uint32_t)(uintptr_t)application_start;
+    stack_unlimited();
     register uint32_t mark __asm("r0") = HANDOVER_MARK;
     register uint32_t word __asm("r1") = handover;
     __asm volatile("msr msp, %2\n bx %3" ::"r"(mark), "r"(word), "r"(application_start[0]), "r"(application_start[1]));
@@ -153,9 +154,6 @@ IN_RAM __attribute__((noreturn)) void loader_run(void)
         start(HANDOVER(1U, 0U, IMAGE_WHY_DAMAGED, page));
     }
     CLEAR_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
-    typedef uintptr_t (*lookup_t)(const uint16_t* table, uint32_t code);
-    const uintptr_t to_usb =
-        ((lookup_t)(uintptr_t)rom_lookup)((const uint16_t*)(uintptr_t)rom_functions, ROM_CODE('U', 'B'));
-    ((void (*)(uint32_t, uint32_t))to_usb)(0U, 0U);
+    rom_usb_boot(0U);
     __builtin_unreachable();
 }

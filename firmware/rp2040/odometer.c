@@ -1,7 +1,8 @@
 // The odometer: a machine of PIO1 that says when either line changes, and DMA that keeps what it said.
 //
-// A DMA channel's count ends. It is 2^31 transitions, a multiple of the ring, and when they are over a second channel
-// starts the first one anew: its count then stands at 2^31 again, which is the same place in the ring.
+// A DMA channel's count ends. It is 2^27 transitions, a multiple of the ring (an RP2350 counts to 2^28), and when they
+// are over a second channel starts the first one anew: its count then stands at 2^27 again, which is the same place in
+// the ring.
 
 #include "../pins.h"
 #include "../quadrature.h"

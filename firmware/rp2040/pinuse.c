@@ -72,7 +72,7 @@ void board_polarity(const uint8_t pins, const uint8_t inverted)
     gates_inverted = (uint8_t)((gates_inverted & ~pins) | (inverted & pins));
     if ((pins & POLARITY_SYNC) != 0U) {
         const bool sync = (inverted & POLARITY_SYNC) != 0U;
-        REGISTER(PAD(PIN_SYNC)) = PAD_INPUT | PAD_SCHMITT | (sync ? PAD_PULL_DOWN : PAD_PULL_UP);
+        REGISTER(PAD(PIN_SYNC)) = PAD_INPUT | PAD_SCHMITT | (sync ? PAD_INPUT_PULL_DOWN : PAD_PULL_UP);
         REGISTER(GPIO_CTRL(PIN_SYNC)) = FUNCTION_SIO | (sync ? IN_INVERT : 0U);
     }
 }
@@ -129,12 +129,12 @@ bool pinuse_hurries(void)
 
 uint32_t pinuse_sync_edges(const uint32_t accepted)
 {
-    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    irq_disable(IRQ_IO_BANK0);
     if ((int32_t)(sync_edges - accepted) < 0) {
         sync_edges = accepted;
     }
     const uint32_t counted = sync_edges;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
     return counted;
 }
 
@@ -147,12 +147,12 @@ void pinuse_count_sync(const bool counts)
 
 void board_interlock_watch(const bool second)
 {
-    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    irq_disable(IRQ_IO_BANK0);
     antivalent = second;
     interlock_opened = false;
     REGISTER(IO_INTR1) = ANTIVALENT_LOW;
     REGISTER(IO_PROC0_INTE1) = (REGISTER(IO_PROC0_INTE1) & (END_LOW | END_HIGH)) | (second ? ANTIVALENT_LOW : 0U);
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
     guard_watch(second);
 }
 
@@ -167,10 +167,10 @@ uint8_t board_interlock(void)
 
 bool board_interlock_tripped(void)
 {
-    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    irq_disable(IRQ_IO_BANK0);
     const bool tripped = interlock_opened;
     interlock_opened = false;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
     return tripped;
 }
 
@@ -186,10 +186,10 @@ void board_turntable_watch(const uint8_t switches)
 
 uint8_t board_turntable_reached(void)
 {
-    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    irq_disable(IRQ_IO_BANK0);
     const uint32_t touched = ends_touched;
     ends_touched = 0;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
     const uint32_t levels = REGISTER(SIO_GPIO_IN);
     const uint32_t watched = REGISTER(IO_PROC0_INTE1);  // of the interlock too, which is none of these bits
     const bool low = ((touched & END_LOW) != 0U) || (((levels >> PIN_END_LOW) & 1U) != 0U);
@@ -215,13 +215,13 @@ void pinuse_start(void)
     pin_use(PIN_STATUS, FUNCTION_SIO, PAD_DRIVE_4MA | PAD_PULL_DOWN);
     pin_use(PIN_SYNC, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
     pin_use(PIN_INTERLOCK, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
-    pin_use(PIN_INTERLOCK_ANTIVALENT, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_DOWN);
+    pin_use(PIN_INTERLOCK_ANTIVALENT, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_INPUT_PULL_DOWN);
     REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
     REGISTER(IO_PROC0_INTE0) = EDGE_LOW(PIN_SYNC) | EDGE_HIGH(PIN_INTERLOCK);
     variant_start();
-    if (board_kind() == BOARD_KIND_PICO) {
+    if (variant_senses_vbus()) {
         REGISTER(IO_INTR3) = VBUS_EDGES;
         REGISTER(IO_PROC0_INTE3) = VBUS_EDGES;
     }
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    irq_enable(IRQ_IO_BANK0);
 }

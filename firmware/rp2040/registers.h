@@ -1,4 +1,5 @@
-// The RP2040's registers as far as this firmware touches them. Names and numbers: RP2040 datasheet.
+// The registers as far as this firmware touches them, where RP2040 and RP2350 agree; what they do not agree on is in
+// chip.h, of the chip that is built for. Names and numbers, and sections unless said otherwise: RP2040 datasheet.
 
 #ifndef ANNULUS_REGISTERS_H
 #define ANNULUS_REGISTERS_H
@@ -12,127 +13,78 @@
 #define SET_BITS(address) REGISTER(SET_ADDRESS(address))
 #define CLEAR_BITS(address) REGISTER((address) + 0x3000U)
 
-// ---- boot ROM (2.8.3); rp2040.ld says where ----
-extern const uint16_t rom_functions;  // the table of functions
-extern const uint16_t rom_lookup;     // the function that searches it
-#define ROM_CODE(a, b) ((uint32_t)(a) | ((uint32_t)(b) << 8))
-
-// ---- flash (4.10) ----
-#define SSI_CONTROL0 0x18000000U
-#define SSI_ENABLE 0x18000008U
-#define SSI_SELECT 0x18000010U
-#define SSI_RECEIVED 0x18000024U
-#define SSI_DATA 0x18000060U
+#include <chip.h>
 
 // ---- clocks, resets (2.14 to 2.18) ----
-#define RESETS_RESET 0x4000C000U
-#define RESETS_DONE 0x4000C008U
-#define RESET_ADC (1U << 0)
-#define RESET_DMA (1U << 2)
-#define RESET_IO_BANK0 (1U << 5)
-#define RESET_IO_QSPI (1U << 6)
-#define RESET_PADS_BANK0 (1U << 8)
-#define RESET_PADS_QSPI (1U << 9)
-#define RESET_PIO0 (1U << 10)
-#define RESET_PIO1 (1U << 11)
-#define RESET_PLL_SYS (1U << 12)
-#define RESET_PLL_USB (1U << 13)
-#define RESET_TIMER (1U << 21)
-#define RESET_UART0 (1U << 22)
-#define RESET_USB (1U << 24)
-#define RESET_ALL 0x01FFFFFFU
+#define RESETS_RESET RESETS
+#define RESETS_DONE (RESETS + 0x08U)
 
-#define XOSC_CTRL 0x40024000U
-#define XOSC_STATUS 0x40024004U
-#define XOSC_STARTUP 0x4002400CU
-#define ROSC_RANDOMBIT 0x4006001CU
+#define XOSC_CTRL XOSC
+#define XOSC_STATUS (XOSC + 0x04U)
+#define XOSC_STARTUP (XOSC + 0x0CU)
 
-#define CLK_REF_CTRL 0x40008030U
-#define CLK_REF_SELECTED 0x40008038U
-#define CLK_SYS_CTRL 0x4000803CU
-#define CLK_SYS_SELECTED 0x40008044U
-#define CLK_PERI_CTRL 0x40008048U
-#define CLK_USB_CTRL 0x40008054U
-#define CLK_ADC_CTRL 0x40008060U
+#define CLK_REF_CTRL (CLOCKS + 0x30U)
+#define CLK_REF_SELECTED (CLOCKS + 0x38U)
+#define CLK_SYS_CTRL (CLOCKS + 0x3CU)
+#define CLK_SYS_SELECTED (CLOCKS + 0x44U)
+#define CLK_PERI_CTRL (CLOCKS + 0x48U)
 
-#define PLL_SYS 0x40028000U
-#define PLL_USB 0x4002C000U
 #define PLL_CS(pll) (pll)
 #define PLL_PWR(pll) ((pll) + 0x04U)
 #define PLL_FBDIV(pll) ((pll) + 0x08U)
 #define PLL_PRIM(pll) ((pll) + 0x0CU)
 
-#define PSM_WDSEL 0x40010008U
-#define PSM_ALL_BUT_OSCILLATORS 0x0001FFFCU
-#define WATCHDOG_CTRL 0x40058000U
-#define WATCHDOG_LOAD 0x40058004U
-#define WATCHDOG_REASON 0x40058008U
-#define WATCHDOG_SCRATCH2 0x40058014U
-#define WATCHDOG_SCRATCH3 0x40058018U
-#define WATCHDOG_TICK 0x4005802CU
+#define WATCHDOG_CTRL WATCHDOG
+#define WATCHDOG_LOAD (WATCHDOG + 0x04U)
+#define WATCHDOG_REASON (WATCHDOG + 0x08U)
+#define WATCHDOG_SCRATCH(number) (WATCHDOG + 0x0CU + 4U * (number))
 #define WATCHDOG_ENABLE (1U << 30)
 #define WATCHDOG_TRIGGER (1U << 31)
 
 // ---- time (4.6, and the processor's SysTick) ----
-#define TIMER_ALARM0 0x40054010U
-#define TIMER_ALARM1 0x40054014U
-#define TIMER_RAW_LOW 0x40054028U
-#define TIMER_INTR 0x40054034U
-#define TIMER_INTE 0x40054038U
+#define TIMER_ALARM0 (TIMER + 0x10U)
+#define TIMER_ALARM1 (TIMER + 0x14U)
+#define TIMER_RAW_LOW (TIMER + 0x28U)
 #define SYSTICK_CSR 0xE000E010U
 #define SYSTICK_RVR 0xE000E014U
 #define SYSTICK_CVR 0xE000E018U
-#define VECTORS 0xE000ED08U  // VTOR
-#define NVIC_ENABLE 0xE000E100U
-#define NVIC_DISABLE 0xE000E180U
+#define VECTORS 0xE000ED08U                                // VTOR
+#define NVIC_ENABLE(irq) (0xE000E100U + (irq) / 32U * 4U)  // irq_enable, irq_disable of hardware.h write them
+#define NVIC_DISABLE(irq) (0xE000E180U + (irq) / 32U * 4U)
 #define NVIC_PRIORITY(word) (0xE000E400U + 4U * (word))  // of four interrupts; 00h goes before 40h
-enum { IRQ_TIMER0 = 0, IRQ_TIMER1 = 1, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
 
 // ---- pins (2.19, 2.3.1) ----
-#define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))
+#define GPIO_CTRL(pin) (IO_BANK0 + 0x04U + 8U * (pin))
 enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7, FUNCTION_NONE = 31 };
-#define OUT_INVERT (1U << 8)  // between the peripheral and the pad (2.19.6.1)
-#define OUT_LOW (2U << 8)
-#define OUT_HIGH (3U << 8)
-#define OUT_ENABLED (3U << 12)  // whatever the peripheral says
-#define IN_INVERT (1U << 16)    // between the pad and everybody who looks at it
-#define IO_INTR0 0x400140F0U    // four bits a pin, pins 0..7; edges latch until written
-#define IO_PROC0_INTE0 0x40014100U
-#define IO_INTR1 0x400140F4U  // the same of pins 8..15
-#define IO_PROC0_INTE1 0x40014104U
-#define IO_INTR3 0x400140FCU  // of pins 24..29
-#define IO_PROC0_INTE3 0x4001410CU
+#define IN_INVERT (1U << 16)  // between the pad and everybody who looks at it
 #define EDGE_LOW(pin) (4U << (4U * (pin)))
 #define EDGE_HIGH(pin) (8U << (4U * (pin)))
-#define PAD(pin) (0x4001C004U + 4U * (pin))
+#define PAD(pin) (PADS_BANK0 + 0x04U + 4U * (pin))
 #define PAD_OUTPUT_DISABLE 0x80U
 #define PAD_INPUT 0x40U
 #define PAD_DRIVE_4MA 0x10U
 #define PAD_PULL_UP 0x08U
-#define PAD_PULL_DOWN 0x04U
+#define PAD_PULL_DOWN 0x04U  // of an output; of an input: PAD_INPUT_PULL_DOWN
 #define PAD_SCHMITT 0x02U
 #define SIO_GPIO_IN 0xD0000004U
-#define SIO_GPIO_OUT_SET 0xD0000014U
-#define SIO_GPIO_OUT_CLEAR 0xD0000018U
-#define SIO_GPIO_OE_SET 0xD0000024U
 
 // ---- ADC (4.9) ----
-#define ADC_CS 0x4004C000U
-#define ADC_RESULT 0x4004C004U
+#define ADC_CS ADC
+#define ADC_RESULT (ADC + 0x04U)
 #define ADC_ENABLE (1U << 0)
 #define ADC_START_ONCE (1U << 2)
 #define ADC_READY (1U << 8)
 #define ADC_INPUT(input) ((uint32_t)(input) << 12)
 
 // ---- UART (4.2) ----
-#define UART_DR 0x40034000U
-#define UART_FR 0x40034018U
-#define UART_IBRD 0x40034024U
-#define UART_FBRD 0x40034028U
-#define UART_LCR_H 0x4003402CU
-#define UART_CR 0x40034030U
-#define UART_IFLS 0x40034034U
-#define UART_IMSC 0x40034038U
+#define UART_DR UART0
+#define UART_FR (UART0 + 0x18U)
+#define UART_IBRD (UART0 + 0x24U)
+#define UART_FBRD (UART0 + 0x28U)
+#define UART_LCR_H (UART0 + 0x2CU)
+#define UART_CR (UART0 + 0x30U)
+#define UART_IFLS (UART0 + 0x34U)
+#define UART_IMSC (UART0 + 0x38U)
 #define UART_BUSY (1U << 3)
 #define UART_RX_EMPTY (1U << 4)
 #define UART_TX_FULL (1U << 5)
@@ -180,14 +132,6 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define DMA_COUNT(channel) (0x50000008U + 0x40U * (channel))
 #define DMA_CTRL_TRIGGER(channel) (0x5000000CU + 0x40U * (channel))
 #define DMA_CTRL(channel) (0x50000010U + 0x40U * (channel))
-#define DMA_ABORT 0x50000444U
-#define DMA_BUSY (1U << 24)
-#define DMA_QUIET (1U << 21)
-#define DMA_REQUEST(dreq) ((uint32_t)(dreq) << 15)
-#define DMA_CHAIN(channel) ((uint32_t)(channel) << 11)
-#define DMA_RING_WRITE (1U << 10)
-#define DMA_RING(bits) ((uint32_t)(bits) << 6)
-#define DMA_INCREMENT_WRITE (1U << 5)
 #define DMA_INCREMENT_READ (1U << 4)
 #define DMA_WORDS (2U << 2)
 #define DMA_PRIORITY (1U << 1)

@@ -9,7 +9,7 @@
 
 void board_watchdog_kick(void)
 {
-    REGISTER(WATCHDOG_LOAD) = BOARD_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+    REGISTER(WATCHDOG_LOAD) = BOARD_WATCHDOG_MS * WATCHDOG_COUNTS_A_MS;
     REGISTER(TIMER_ALARM1) = REGISTER(TIMER_RAW_LOW) + STUCK_US;
 }
 
@@ -23,7 +23,7 @@ void outputs_off(void)
 void board_reset(void)
 {
     outputs_off();
-    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
+    REGISTER(WATCHDOG_KEPT_CAUSE) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
     for (;;) {
     }
@@ -34,18 +34,13 @@ bool board_bootloader_reachable(void)
     return usb_hosted();
 }
 
-// The ROM resets the chip by the watchdog and comes up as the drive RPI-RP2 and as PICOBOOT, GP25 showing its activity.
+// The ROM resets the chip by the watchdog and comes up as a drive and as PICOBOOT, GP25 showing its activity.
 void board_bootloader(void)
 {
-    typedef void* (*lookup_t)(const uint16_t* table, uint32_t code);
-    typedef void (*reset_to_usb_boot_t)(uint32_t activity_pins, uint32_t disabled_interfaces);
     outputs_off();
     interrupts_off();
-    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
-    const lookup_t lookup = (lookup_t)(uintptr_t)rom_lookup;
-    const uint16_t* const functions = (const uint16_t*)(uintptr_t)rom_functions;
-    const reset_to_usb_boot_t reset_to_usb_boot = (reset_to_usb_boot_t)lookup(functions, ROM_CODE('U', 'B'));
-    reset_to_usb_boot((board_kind() == BOARD_KIND_PICO_W) ? 0U : 1U << PIN_STATUS, 0U);
+    REGISTER(WATCHDOG_KEPT_CAUSE) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
+    rom_usb_boot((board_kind() == BOARD_KIND_PICO_W) ? 0U : 1U << PIN_STATUS);
 }
 
 void reset_start(void)

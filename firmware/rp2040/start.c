@@ -1,4 +1,4 @@
-// From the loader to the main loop: vectors, memory, clocks. All of it runs from RAM.
+// From the loader to the main loop: memory, clocks. All of it runs from RAM.
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -13,6 +13,7 @@
 #include "hardware.h"
 #include "registers.h"
 
+extern const uint32_t interrupt_vectors[];
 extern uint32_t bss_start[], bss_end[], stack_bottom[], stack_top[];
 
 void reset_handler(uint32_t mark, uint32_t handover);
@@ -21,30 +22,14 @@ void reset_handler(uint32_t mark, uint32_t handover);
 #define TEXT_OF(value) #value
 #define TEXT(value) TEXT_OF(value)
 __attribute__((section(".version"), used)) static const char version[] =
-    "annulus rp2040 " ANNULUS_VERSION " " ANNULUS_GIT " protocol " TEXT(PROTOCOL_VERSION) " schema " TEXT(SCHEMA_HASH);
+    "annulus " BOARD_NAME " " ANNULUS_VERSION " " ANNULUS_GIT
+    " protocol " TEXT(PROTOCOL_VERSION) " schema " TEXT(SCHEMA_HASH);
 // Apart from the above, which older hosts read as it stands, and behind it: the loader knows the place of the other.
 __attribute__((section(".level"), used)) static const char level[] = "annulus level " TEXT(LEVEL);
 
 #define STACK_PAINT 0xA5A5A5A5U
 
 static controller_t controller;
-
-typedef void (*vector_t)(void);
-
-__attribute__((section(".vectors"), used)) static const vector_t vectors[APPLICATION_SIZE_AT / 4U] = {
-    [0] = (vector_t)(uintptr_t)stack_top,
-    [1] = (vector_t)reset_handler,
-    [2] = fault_handler,
-    [3] = fault_handler,
-    [11] = fault_handler,
-    [14] = fault_handler,
-    [15] = fault_handler,
-    [16 + IRQ_TIMER0] = alarm_handler,
-    [16 + IRQ_TIMER1] = stuck_handler,
-    [16 + IRQ_USB] = usb_handler,
-    [16 + IRQ_IO_BANK0] = pins_handler,
-    [16 + IRQ_UART0] = serial_handler,
-};
 
 #define NO_PERIPHERALS 4U  // blinks, after those of clocks.h
 
@@ -61,7 +46,7 @@ __attribute__((noreturn)) static void give_up(const uint32_t blinks)
     for (uint32_t half = 0; half < 2U * (blinks + 1U); half++) {
         REGISTER((((half & 1U) == 0U) && (half < 2U * blinks)) ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U
                                                                                                           << PIN_STATUS;
-        REGISTER(WATCHDOG_LOAD) = GIVE_UP_MS * 2000U;
+        REGISTER(WATCHDOG_LOAD) = GIVE_UP_MS * WATCHDOG_COUNTS_A_MS;
         for (volatile uint32_t i = 0; i < BLINK_LOOPS; i++) {
         }
     }
@@ -103,6 +88,7 @@ static void paint_stack(void)
 // From the loader, which has the watchdog running: whatever does not come back is started anew.
 __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t handover)
 {
+    REGISTER(VECTORS) = (uint32_t)(uintptr_t)interrupt_vectors;
     paint_stack();
     memset(bss_start, 0, (size_t)((uint8_t*)bss_end - (uint8_t*)bss_start));
     image_begin(mark, handover);

@@ -44,7 +44,7 @@ void time_start(void)
     ticks = 0;
     REGISTER(TIMER_INTR) = 1U;
     SET_BITS(TIMER_INTE) = 1U;
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_TIMER0;
+    irq_enable(IRQ_TIMER0);
 }
 
 void alarm_handler(void)

@@ -9,6 +9,7 @@
 // A step is the words delay, width, level; they may be one word as long as it is odd: level 1.
 #define WORDS_PER_STEP 3U
 #define STEP_OVERHEAD 10U
+#define WORDS_AT_ONCE (DMA_COUNT_MAX / WORDS_PER_STEP * WORDS_PER_STEP)
 
 static volatile uint32_t half_period;  // the word, where DMA reads it again and again
 
@@ -18,6 +19,7 @@ static struct {
     bool up;
     bool hold;
     bool moving;
+    uint32_t later;  // words that DMA can not count yet: an RP2350's counts 89 million steps
 } motor;
 
 static uint32_t half_of(const uint32_t period_ticks)
@@ -41,23 +43,29 @@ static uint32_t fifo_words(void)
     return (REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU;
 }
 
-static void finish_when_done(void)
+// The pause at the seam, a round at most, is one in hours.
+static void start_words(const uint32_t all)
 {
-    const bool fed = (REGISTER(DMA_CTRL(DMA_STEPS)) & DMA_BUSY) == 0U;
-    if (motor.moving && fed && (fifo_words() == 0U) && (REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE)) == LAMP_IDLE)) {
-        stand_at(motor.steps);
-        REGISTER(motor.hold ? SIO_GPIO_OUT_CLEAR : SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
-    }
-}
-
-static void start_words(const uint32_t words)
-{
+    const uint32_t words = (all < WORDS_AT_ONCE) ? all : WORDS_AT_ONCE;
+    motor.later = all - words;
     if (words > 0U) {
         REGISTER(DMA_READ(DMA_STEPS)) = (uint32_t)(uintptr_t)&half_period;
         REGISTER(DMA_WRITE(DMA_STEPS)) = PIO_TX(PIO0, STEP_MACHINE);
         REGISTER(DMA_COUNT(DMA_STEPS)) = words;
         REGISTER(DMA_CTRL_TRIGGER(DMA_STEPS)) =
             DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, STEP_MACHINE)) | DMA_CHAIN(DMA_STEPS) | DMA_WORDS | DMA_ENABLE;
+    }
+}
+
+static void finish_when_done(void)
+{
+    const bool fed = (REGISTER(DMA_CTRL(DMA_STEPS)) & DMA_BUSY) == 0U;
+    if (motor.moving && fed && (motor.later > 0U)) {
+        start_words(motor.later);
+    } else if (motor.moving && fed && (fifo_words() == 0U) &&
+               (REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE)) == LAMP_IDLE)) {
+        stand_at(motor.steps);
+        REGISTER(motor.hold ? SIO_GPIO_OUT_CLEAR : SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     }
 }
 
@@ -80,17 +88,17 @@ void board_turntable_pace(const uint32_t period_ticks)
 
 uint32_t board_turntable_left(void)
 {
-    return motor.moving ? REGISTER(DMA_COUNT(DMA_STEPS)) / WORDS_PER_STEP : 0U;
+    return motor.moving ? (REGISTER(DMA_COUNT(DMA_STEPS)) + motor.later) / WORDS_PER_STEP : 0U;
 }
 
-// What DMA will still move; none is under way any more.
+// What DMA had still to move; none is under way any more.
 static uint32_t pause_words(void)
 {
     CLEAR_BITS(DMA_CTRL(DMA_STEPS)) = DMA_ENABLE;
     for (uint32_t i = 0; i < 4U; i++) {
         (void)REGISTER(DMA_CTRL(DMA_STEPS));
     }
-    return REGISTER(DMA_COUNT(DMA_STEPS));
+    return REGISTER(DMA_COUNT(DMA_STEPS)) + motor.later;
 }
 
 uint32_t board_turntable_shorten(const uint32_t steps)
@@ -150,7 +158,7 @@ static uint32_t words_waiting(void)
         with_dma = count;
         in_fifo = level;
     }
-    return with_dma + in_fifo;
+    return with_dma + in_fifo + motor.later;
 }
 
 // While it moves: steps begun, one more or less.

@@ -1,7 +1,7 @@
-"""Makes the UF2 a user flashes from the linked image: `uf2.py image.elf image.uf2`. Standard library only.
+"""Makes the UF2 a user flashes from the linked image: `uf2.py rp2040 image.elf image.uf2`. Standard library only.
 
-Fills in the CRC32 the boot ROM wants behind the second stage, and the application's size and CRC-32 of application.h
-(in the ELF too, so that a debugger flashes the same bytes), checks the budgets and prints them.
+Fills in the CRC32 that the boot ROM of an RP2040 wants behind the second stage, and the application's size and CRC-32
+of application.h (in the ELF too, so that a debugger flashes the same bytes), checks the budgets and prints them.
 """
 
 import struct
@@ -11,7 +11,8 @@ from pathlib import Path
 
 FLASH_START = 0x10000000
 APPLICATION_BUDGET, RAM_BUDGET, LOADER_BUDGET = 64 * 1024, 96 * 1024, 4 * 1024  # bytes
-BOOT2_BYTES, PAGE_BYTES, FAMILY_RP2040 = 256, 256, 0xE48BFF56
+BOOT2_BYTES, PAGE_BYTES = 256, 256
+FAMILIES = {"rp2040": 0xE48BFF56, "rp2350": 0xE48BFF59}  # the latter for its Arm cores, Secure
 APPLICATION, SIZE_AT = 0x1000, 192  # rp2040.ld, application.h
 RECORDS_END = 0x13000  # flash.h: blank in the UF2, so that nothing recorded before starts another application
 RAM_START, RAM_END = 0x20000000, 0x20040000
@@ -37,15 +38,13 @@ def segments(elf: bytes) -> list[tuple[int, int, int, int, int]]:
     return [(h[1], h[3], h[2], h[4], h[5]) for h in headers if h[0] == PT_LOAD and h[5] > 0]
 
 
-def uf2(image: bytes) -> bytes:
+def uf2(image: bytes, family: int) -> bytes:
     """Blocks of 256 payload bytes in 512."""
     pages = [image[i : i + PAGE_BYTES].ljust(PAGE_BYTES, b"\xff") for i in range(0, len(image), PAGE_BYTES)]
     blocks = []
     for number, page in enumerate(pages):
         address = FLASH_START + number * PAGE_BYTES
-        head = struct.pack(
-            "<8I", 0x0A324655, 0x9E5D5157, 0x2000, address, PAGE_BYTES, number, len(pages), FAMILY_RP2040
-        )
+        head = struct.pack("<8I", 0x0A324655, 0x9E5D5157, 0x2000, address, PAGE_BYTES, number, len(pages), family)
         blocks.append((head + page).ljust(508, b"\0") + struct.pack("<I", 0x0AB16F30))
     return b"".join(blocks)
 
@@ -59,7 +58,7 @@ def put(elf: bytearray, image: bytearray, at: int, word: int) -> None:
             elf[place : place + 4] = struct.pack("<I", word)
 
 
-def main(elf_path: Path, uf2_path: Path) -> None:
+def main(chip: str, elf_path: Path, uf2_path: Path) -> None:
     elf = bytearray(elf_path.read_bytes())
     image = bytearray()
     ram = loader = 0
@@ -69,20 +68,21 @@ def main(elf_path: Path, uf2_path: Path) -> None:
         if in_file and physical < FLASH_START + 0x01000000:
             loader = loader or len(image)
             image = image.ljust(physical - FLASH_START, b"\xff") + elf[offset : offset + in_file]
-    put(elf, image, BOOT2_BYTES - 4, crc32_boot2(bytes(image[: BOOT2_BYTES - 4])))
+    if chip == "rp2040":
+        put(elf, image, BOOT2_BYTES - 4, crc32_boot2(bytes(image[: BOOT2_BYTES - 4])))
     put(elf, image, APPLICATION + SIZE_AT, len(image) - APPLICATION)
     application = len(image) - APPLICATION
     put(elf, image, len(image) - 4, zlib.crc32(image[APPLICATION:-4]))
     said = (
-        f"application {application} of {APPLICATION_BUDGET} bytes, RAM {ram} of {RAM_BUDGET} bytes with it,"
+        f"{chip}: application {application} of {APPLICATION_BUDGET} bytes, RAM {ram} of {RAM_BUDGET} bytes with it,"
         f" loader {loader} of {LOADER_BUDGET} bytes"
     )
     if application > APPLICATION_BUDGET or ram > RAM_BUDGET or loader > LOADER_BUDGET:
         raise SystemExit(f"uf2.py: over budget: {said}")
     print(said)
     elf_path.write_bytes(elf)
-    uf2_path.write_bytes(uf2(bytes(image.ljust(RECORDS_END, b"\xff"))))
+    uf2_path.write_bytes(uf2(bytes(image.ljust(RECORDS_END, b"\xff")), FAMILIES[chip]))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

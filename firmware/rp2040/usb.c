@@ -449,7 +449,7 @@ void usb_let_go(void)
 
 void usb_start(void)
 {
-    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+    irq_enable(IRQ_USB);
     if (!variant_vbus_back()) {
         leave(0U);
         return;

@@ -34,7 +34,7 @@ static struct {
 void usb_hand_over(const uint32_t endpoint, const uint32_t bits)
 {
     REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits;
-    __asm volatile("nop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop");
+    __asm volatile(USB_CYCLES_PASS);
     REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits | BUFFER_AVAILABLE;
 }
 

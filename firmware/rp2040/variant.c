@@ -65,8 +65,10 @@ static bool is_vsys(const uint32_t counts)
 
 static bool level_pulled(const uint32_t pull)
 {
-    REGISTER(PAD(PIN_VBUS)) = PAD_INPUT | PAD_SCHMITT | pull;
+    REGISTER(PAD(PIN_VBUS)) = PAD_SCHMITT | pull;  // looked at only when it has been pulled: erratum RP2350-E9
     let_pass(PULL_US);
+    SET_BITS(PAD(PIN_VBUS)) = PAD_INPUT;
+    let_pass(0U);
     return ((REGISTER(SIO_GPIO_IN) >> PIN_VBUS) & 1U) != 0U;
 }
 
@@ -112,7 +114,7 @@ void variant_start(void)
     }
     REGISTER(ADC_CS) = ADC_ENABLE;
     kind = find_kind();
-    if (kind == BOARD_KIND_PICO) {
+    if (variant_senses_vbus()) {
         pin_use(PIN_VBUS, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT);
     }
     SET_BITS(RESETS_RESET) = RESET_ADC;
@@ -124,6 +126,11 @@ uint8_t board_kind(void)
     return kind;
 }
 
+bool variant_senses_vbus(void)
+{
+    return VBUS_READS_TRUE && (kind == BOARD_KIND_PICO);
+}
+
 static bool has_vbus(void)
 {
     return ((REGISTER(SIO_GPIO_IN) >> PIN_VBUS) & 1U) != 0U;
@@ -131,7 +138,7 @@ static bool has_vbus(void)
 
 uint8_t board_vbus(void)
 {
-    if (kind != BOARD_KIND_PICO) {
+    if (!variant_senses_vbus()) {
         return PRESENCE_UNKNOWN;
     }
     return has_vbus() ? PRESENCE_PRESENT : PRESENCE_ABSENT;
@@ -148,7 +155,7 @@ void variant_vbus_edge(const bool fell)
 
 bool variant_vbus(void)
 {
-    return (kind != BOARD_KIND_PICO) || (!vbus_fell && has_vbus());
+    return !variant_senses_vbus() || (!vbus_fell && has_vbus());
 }
 
 bool variant_vbus_back(void)

@@ -60,7 +60,14 @@ def annulus(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    shipped_files = ("libannulus_native.so", "annulus.uf2", "99-annulus.rules", "annulus.service", "build.json")
+    shipped_files = (
+        "libannulus_native.so",
+        "annulus.uf2",
+        "annulus-rp2350.uf2",
+        "99-annulus.rules",
+        "annulus.service",
+        "build.json",
+    )
     assert {f"annulus/shipped/{name}" for name in shipped_files} <= names
     assert {"annulus/report/page.html.j2", "annulus/report/style.css", "annulus/selftest/page.html.j2"} <= names
     others = {name for name in names if not name.startswith(("annulus/", "annulus-"))}

@@ -45,7 +45,7 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
         made = {build / "build.json": "build.json", native(root, machine, build): "libannulus_native.so"}
         if os.environ.get("ANNULUS_IMAGE") != "no":
             _run("make", "--silent", "-C", str(root / "firmware"), "image", "rig")
-            for image in ("annulus.uf2", "rig.uf2"):
+            for image in ("annulus.uf2", "annulus-rp2350.uf2", "rig.uf2"):
                 made[root / "firmware/build" / image] = image
         manual = root / "host/annulus/shipped/manual"
         if manual.is_dir():

@@ -3,12 +3,12 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from annulus.cli.show import Json, group, print_fields, progress
-from annulus.shipped import IMAGE, shipped
+from annulus.shipped import shipped
 from annulus.vocabulary import AnnulusError
 
 app = group("Look at the controller's firmware, put it on a board, watch what it says.")
@@ -18,8 +18,11 @@ _Port = Annotated[
 ]
 
 
-def _image_path(given: Path | None) -> Path:
-    return given or shipped(IMAGE)
+def _image_path(given: Path | None, **where: Any) -> Path:
+    """Of several that come with annulus, the one for the board that is there."""
+    from annulus.flash.update import chip_there
+
+    return given or shipped(chip_there(**where).image)
 
 
 @app.command("info", epilog="Example: annulus firmware info --port /dev/ttyACM0")
@@ -46,7 +49,8 @@ def info(
         return
     print_fields(fields, as_json)
     for board in waiting:
-        print(f"{'boot loader':<22} USB {board['place']} ({board['serial'] or 'serial number not readable'})")
+        serial = board["serial"] or "serial number not readable"
+        print(f"{'boot loader':<22} USB {board['place']} ({board['chip']}, {serial})")
     for controller in running:
         print(f"{'controller':<22} {controller.port} ({controller.serial})")
 
@@ -62,7 +66,7 @@ def flash(
         typer.Option(help="Which of several: serial number of a running controller, or place of a boot loader, 1-2.3."),
     ] = None,
     drive: Annotated[
-        Path | None, typer.Option(help="Copy to this mounted RPI-RP2 drive instead of talking PICOBOOT.")
+        Path | None, typer.Option(help="Copy to this mounted drive (RPI-RP2, RP2350) instead of talking PICOBOOT.")
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Also an image that is not annulus, or that this host cannot talk to.")
@@ -77,7 +81,7 @@ def flash(
     from annulus.flash import update
     from annulus.flash.image import read_image, require_ours
 
-    image = read_image(_image_path(file))
+    image = read_image(_image_path(file, port=port, serial=serial, drive=drive))
     if not force:
         require_ours(image)
     with progress() as bars:

@@ -5,7 +5,8 @@ is touched.
     require_ours(image)                         # AnnulusError: sound, but not a controller this host can talk to
 
 Sources: UF2 specification (Microsoft); RP2040 datasheet §2.8.1 (boot sequence: 256 bytes of second stage, CRC32 in the
-last word) and §2.8.4.2 (which UF2 blocks the boot ROM takes).
+last word) and §2.8.4.2 (which UF2 blocks the boot ROM takes); RP2350 datasheet §5.9.5 (an IMAGE_DEF in the first 4 KiB,
+and the vector table at the start).
 """
 
 import re
@@ -15,26 +16,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annulus.controller import UPDATE_MAX_BYTES
+from annulus.flash.chips import CHIPS, RP2040, RP2350, Chip
 from annulus.link.messages import PROTOCOL_VERSION, SCHEMA_HASH
 from annulus.untrusted import read_file
 from annulus.vocabulary import AnnulusError
 
-BOARD = "rp2040"
 FLASH_START = 0x10000000
-FLASH_BYTES = 2 * 1024 * 1024  # of a Raspberry Pi Pico
 FILE_MAX = 64 << 20  # bytes; a UF2 of the whole flash has 4 MiB, an ELF carries what debuggers want beside it
 PAGE_BYTES, SECTOR_BYTES = 256, 4096
 BOOT2_BYTES = 256
 APPLICATION_AT, APPLICATION_SIZE_AT = 0x1000, 192  # in flash, its first slot; in the application
 RECORDS_AT, RECORDS_END = 0x11000, 0x13000  # in flash: which slot starts; blank, so that it is the first
-RAM_START, RAM_END = 0x20000000, 0x20042000
+RAM_START = 0x20000000
+IMAGE_DEF_WITHIN = 4096  # bytes of flash in which the boot ROM of an RP2350 looks
+_IMAGE_DEF = struct.pack("<5I", 0xFFFFDED3, 0x10210142, 0x1FF, 0, 0xAB123579)  # Arm, Secure; the least there is
 
 _BLOCK_BYTES = 512
 _MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 _NOT_MAIN_FLASH, _HAS_FAMILY = 0x0001, 0x2000
-FAMILY_RP2040 = 0xE48BFF56
 _FAMILIES = {  # of microsoft/uf2's list, those a user may have at hand
-    0xE48BFF57: "RP2350, absolute", 0xE48BFF58: "RP2350, data", 0xE48BFF59: "RP2350", 0xE48BFF5A: "RP2350, RISC-V",
+    0xE48BFF57: "RP2350, absolute", 0xE48BFF58: "RP2350, data", 0xE48BFF5A: "RP2350, RISC-V",
     0xE48BFF5B: "RP2350, non-secure", 0x68ED2B88: "SAMD21", 0x55114460: "SAMD51", 0xADA52840: "nRF52840",
     0xBFDD4EEE: "ESP32-S2", 0xC47E5767: "ESP32-S3",
 }  # fmt: skip
@@ -67,6 +68,7 @@ class Image:
     name: str
     data: bytes
     identity: Identity | None  # None: somebody else's program
+    chip: Chip = RP2040
 
     @property
     def sectors(self) -> int:
@@ -96,14 +98,16 @@ def read_image(path: Path) -> Image:
 def parse_image(content: bytes, name: str) -> Image:
     """As `read_image`, from bytes."""
     if content[:4] == b"\x7fELF":
-        pages = _elf_pages(content, name)
+        pages, chip = _elf_pages(content, name), None
     elif content[:4] == struct.pack("<I", _MAGIC[0]):
-        pages = _uf2_pages(content, name)
+        pages, chip = _uf2_pages(content, name)
     else:
         raise AnnulusError(f"{name}: neither UF2 nor ELF, expected an image such as annulus.uf2")
-    data = _flash(pages, name)
-    _require_bootable(data, name)
-    image = Image(name, data, _identity(data))
+    data = _flash(pages, name, chip or RP2350)
+    if chip is None:  # an ELF says no family
+        chip = RP2350 if _IMAGE_DEF in data[:IMAGE_DEF_WITHIN] else RP2040
+    _require_bootable(data, name, chip)
+    image = Image(name, data, _identity(data), chip)
     if has_application(image):  # a debugger's ELF leaves the records out
         image = replace(image, data=data.ljust(RECORDS_END, b"\xff"))
     holes = len(data) // PAGE_BYTES - len(pages)
@@ -116,9 +120,11 @@ def require_ours(image: Image) -> None:
     """AnnulusError unless it is an annulus controller for this board that this host can talk to."""
     who = image.identity
     if who is None:
-        raise AnnulusError(f"{image.name}: runs on an RP2040 but is no annulus firmware. It is flashed only by force.")
-    if who.board != BOARD:
-        raise AnnulusError(f"{image.name}: annulus for board {who.board}, expected {BOARD}")
+        raise AnnulusError(
+            f"{image.name}: runs on an {image.chip} but is no annulus firmware. It is flashed only by force."
+        )
+    if who.board != image.chip.board:
+        raise AnnulusError(f"{image.name}: annulus for board {who.board}, expected {image.chip.board}")
     if not who.fits:
         raise AnnulusError(
             f"{image.name}: speaks protocol {who.protocol} schema {who.schema:08x}, this host {PROTOCOL_VERSION}"
@@ -162,21 +168,29 @@ def crc32_boot2(data: bytes) -> int:
     return crc
 
 
-def _uf2_pages(content: bytes, name: str) -> dict[int, bytes]:
-    """Payloads by address. The file must be whole: the boot ROM would wait for a missing block for ever."""
+def _uf2_pages(content: bytes, name: str) -> tuple[dict[int, bytes], Chip]:
+    """Payloads by address, and the chip they are all for.
+
+    The file must be whole: the boot ROM would wait for a missing block for ever.
+    """
     if len(content) % _BLOCK_BYTES:
         raise AnnulusError(f"{name}: truncated, {len(content)} bytes, expected a multiple of {_BLOCK_BYTES}")
     pages: dict[int, bytes] = {}
     numbers: set[int] = set()
     blocks = len(content) // _BLOCK_BYTES
+    chip: Chip | None = None
     for at in range(0, len(content), _BLOCK_BYTES):
         start0, start1, flags, address, size, number, count, family = struct.unpack_from("<8I", content, at)
         where = f"{name}: block {at // _BLOCK_BYTES}"
         if (start0, start1, struct.unpack_from("<I", content, at + 508)[0]) != _MAGIC:
             raise AnnulusError(f"{where} is damaged, expected the marks of UF2")
-        if not flags & _HAS_FAMILY or family != FAMILY_RP2040:
+        this = next((c for c in CHIPS if flags & _HAS_FAMILY and c.family == family), None)
+        if this is None:
             board = _FAMILIES.get(family, f"family {family:08x}") if flags & _HAS_FAMILY else "no family"
-            raise AnnulusError(f"{name}: made for another board ({board}), expected RP2040")
+            raise AnnulusError(f"{name}: made for another board ({board}), expected RP2040 or RP2350")
+        chip = chip or this
+        if this is not chip:
+            raise AnnulusError(f"{where} is for an {this}, those before it for an {chip}: expected one board")
         if flags & _NOT_MAIN_FLASH:
             raise AnnulusError(f"{where} is not for the main flash, expected nothing else in it")
         if count != blocks or number >= count:
@@ -187,7 +201,9 @@ def _uf2_pages(content: bytes, name: str) -> dict[int, bytes]:
             raise AnnulusError(f"{where} holds {size} bytes for {address:08x}, expected whole pages of {PAGE_BYTES}")
         numbers.add(number)
         pages[address] = content[at + 32 : at + 32 + PAGE_BYTES]
-    return pages
+    if chip is None:
+        raise AnnulusError(f"{name}: holds no block")
+    return pages, chip
 
 
 def _elf_pages(content: bytes, name: str) -> dict[int, bytes]:
@@ -205,7 +221,7 @@ def _elf_pages(content: bytes, name: str) -> dict[int, bytes]:
             continue
         if offset + in_file > len(content):
             raise AnnulusError(f"{name}: truncated, expected a whole ELF")
-        if physical < FLASH_START or physical + in_file > FLASH_START + FLASH_BYTES:
+        if physical < FLASH_START or physical + in_file > FLASH_START + RP2350.flash_bytes:
             raise AnnulusError(f"{name}: loads {in_file} bytes to {physical:08x}, expected flash")
         for i in range(in_file):
             page = pages.setdefault((physical + i) & ~(PAGE_BYTES - 1), bytearray(b"\xff" * PAGE_BYTES))
@@ -213,34 +229,42 @@ def _elf_pages(content: bytes, name: str) -> dict[int, bytes]:
     return {address: bytes(page) for address, page in pages.items()}
 
 
-def _flash(pages: dict[int, bytes], name: str) -> bytes:
+def _flash(pages: dict[int, bytes], name: str, chip: Chip) -> bytes:
     if not pages:
         raise AnnulusError(f"{name}: holds nothing for the flash")
     first, last = min(pages), max(pages)
-    if first < FLASH_START or last + PAGE_BYTES > FLASH_START + FLASH_BYTES:
+    flash_end = FLASH_START + chip.flash_bytes
+    if first < FLASH_START or last + PAGE_BYTES > flash_end:
         raise AnnulusError(
             f"{name}: made for addresses {first:08x}..{last + PAGE_BYTES:08x}, expected flash from {FLASH_START:08x}"
-            f" to {FLASH_START + FLASH_BYTES:08x}"
+            f" to {flash_end:08x}"
         )
     if first != FLASH_START:
-        raise AnnulusError(f"{name}: begins at {first:08x}, expected the second stage at {FLASH_START:08x}")
+        raise AnnulusError(f"{name}: begins at {first:08x}, expected what starts first at {FLASH_START:08x}")
     empty = b"\xff" * PAGE_BYTES
     return b"".join(pages.get(address, empty) for address in range(first, last + PAGE_BYTES, PAGE_BYTES))
 
 
-def _require_bootable(data: bytes, name: str) -> None:
-    """What the boot ROM checks, and whether there is a program behind the second stage."""
+def _require_bootable(data: bytes, name: str, chip: Chip) -> None:
+    """What the boot ROM checks, and whether there is a program where it goes then."""
     if len(data) < BOOT2_BYTES + 8:
         raise AnnulusError(f"{name}: {len(data)} bytes hold no program")
-    found, wanted = struct.unpack_from("<I", data, BOOT2_BYTES - 4)[0], crc32_boot2(data[: BOOT2_BYTES - 4])
-    if found != wanted:
-        raise AnnulusError(
-            f"{name}: CRC of the second stage is {found:08x}, expected {wanted:08x}: it would never start"
-        )
-    stack, entry = struct.unpack_from("<2I", data, BOOT2_BYTES)
+    vectors_at = 0
+    if chip is RP2040:
+        vectors_at = BOOT2_BYTES
+        found, wanted = struct.unpack_from("<I", data, BOOT2_BYTES - 4)[0], crc32_boot2(data[: BOOT2_BYTES - 4])
+        if found != wanted:
+            raise AnnulusError(
+                f"{name}: CRC of the second stage is {found:08x}, expected {wanted:08x}: it would never start"
+            )
+    elif _IMAGE_DEF not in data[:IMAGE_DEF_WITHIN]:
+        raise AnnulusError(f"{name}: no IMAGE_DEF for an {chip} in its first 4 KiB: it would never start")
+    stack, entry = struct.unpack_from("<2I", data, vectors_at)
     entry_ok = entry & 1 and FLASH_START <= entry < FLASH_START + len(data)
-    if not (RAM_START < stack <= RAM_END and stack % 4 == 0 and entry_ok):
-        raise AnnulusError(f"{name}: no vector table behind the second stage (stack {stack:08x}, entry {entry:08x})")
+    if not (RAM_START < stack <= chip.ram_end and stack % 4 == 0 and entry_ok):
+        raise AnnulusError(
+            f"{name}: no vector table at {FLASH_START + vectors_at:08x} (stack {stack:08x}, entry {entry:08x})"
+        )
 
 
 def _identity(data: bytes) -> Identity | None:

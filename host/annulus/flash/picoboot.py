@@ -1,4 +1,4 @@
-"""PICOBOOT, the vendor interface of the RP2040's boot ROM on USB: erase, write and read back flash, restart.
+"""PICOBOOT, the vendor interface of the boot ROM on USB, of RP2040 and RP2350: erase, write, read back flash, restart.
 
     with PicoBoot(choose(find_boot_loaders())) as boot:     # AnnulusError: none, several, no permission, no libusb
         write_flash(boot, image.data, progress)             # AnnulusError: and the board stays in the boot loader
@@ -6,8 +6,9 @@
 
 `command` and `parse_status` are the bytes alone. Source: RP2040 datasheet §2.8.5 and the boot ROM's own code
 (raspberrypi/pico-bootrom-rp2040, usb_boot_device.c and async_task.c). Two things only the latter tells: a failing erase
-is acknowledged like a good one, so only reading back proves anything; and the serial number is the same for all chips
-of one revision, so boards are told apart by their place on the bus.
+is acknowledged like a good one, so only reading back proves anything; and the serial number of an RP2040 is the same
+for all chips of one revision, so boards are told apart by their place on the bus. The RP2350's boot ROM takes the same
+commands but for the restart, which has another number and other arguments.
 """
 
 import contextlib
@@ -23,11 +24,12 @@ from typing import Any, Protocol, Self
 import usb.core
 import usb.util
 
+from annulus.flash.chips import CHIPS, RP2040, RP2350, Chip
 from annulus.flash.image import FLASH_START, PAGE_BYTES, SECTOR_BYTES
 from annulus.shipped import UDEV, shipped
 from annulus.vocabulary import AnnulusError
 
-VENDOR, PRODUCT, PRODUCT_RP2350 = 0x2E8A, 0x0003, 0x000F
+VENDOR = 0x2E8A
 HOW_TO_BOOT = "Hold BOOTSEL while plugging the board in, or name the port of a running one."
 
 MAGIC = 0x431FD10B
@@ -54,6 +56,7 @@ class CommandId(IntEnum):
     READ = 0x84
     WRITE = 0x05
     EXIT_XIP = 0x06
+    REBOOT2 = 0x0A  # of an RP2350, which knows no REBOOT
 
 
 class StatusCode(IntEnum):
@@ -66,6 +69,15 @@ class StatusCode(IntEnum):
     INTERLEAVED_WRITE = 6
     REBOOTING = 7
     UNKNOWN_ERROR = 8
+    INVALID_STATE = 9  # from here on of an RP2350 only
+    NOT_PERMITTED = 10
+    INVALID_ARG = 11
+    BUFFER_TOO_SMALL = 12
+    PRECONDITION_NOT_MET = 13
+    MODIFIED_DATA = 14
+    INVALID_DATA = 15
+    NOT_FOUND = 16
+    UNSUPPORTED_MODIFICATION = 17
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,15 +114,16 @@ class BootLoader:
     place: str  # on the bus, as Linux writes it: 1-2.3
     serial: str | None  # None: not readable without permission. The same for every RP2040 of a revision
     device: Any = field(repr=False, compare=False)
+    chip: Chip = RP2040
 
     def __str__(self) -> str:
         return f"{self.place} ({self.serial or 'serial number not readable'})"
 
 
 def find_boot_loaders(backend: Any = None) -> list[BootLoader]:
-    """All RP2040s in the boot loader, in order of their places. `backend`: of pyusb, by default libusb.
+    """All boards in their boot loaders, in order of their places. `backend`: of pyusb, by default libusb.
 
-    Raises AnnulusError when there is no libusb, or nothing but another chip's boot loader.
+    Raises AnnulusError when there is no libusb.
     """
     try:
         devices = list(usb.core.find(find_all=True, backend=backend, idVendor=VENDOR))
@@ -120,20 +133,25 @@ def find_boot_loaders(backend: Any = None) -> list[BootLoader]:
         ) from None
     except usb.core.USBError as error:
         raise AnnulusError(f"USB cannot be searched ({error.strerror}), expected a USB host") from None
-    found = [BootLoader(_place(d), _serial(d), d) for d in devices if d.idProduct == PRODUCT]
-    others = [_place(d) for d in devices if d.idProduct == PRODUCT_RP2350]
-    if others and not found:
-        raise AnnulusError(f"the board at USB {others[0]} is an RP2350 (Pico 2), expected an RP2040 (Pico)")
+    chips = {chip.product: chip for chip in CHIPS}
+    found = [BootLoader(_place(d), _serial(d), d, chips[d.idProduct]) for d in devices if d.idProduct in chips]
     return sorted(found, key=lambda loader: loader.place)
 
 
-def choose(loaders: Iterable[BootLoader], wanted: str | None = None) -> BootLoader:
-    """The one board meant: by serial number or place, or the only one. AnnulusError lists what there is."""
-    all_of_them = list(loaders)
-    if not all_of_them:
+def choose(loaders: Iterable[BootLoader], wanted: str | None = None, chip: Chip | None = None) -> BootLoader:
+    """The one board meant: by serial number or place, or the only one with that chip.
+
+    Raises AnnulusError, which lists what there is.
+    """
+    everybody = list(loaders)
+    if not everybody:
         raise AnnulusError(f"no board in its boot loader. {HOW_TO_BOOT}")
-    matching = [loader for loader in all_of_them if wanted in (None, loader.serial, loader.place)]
-    listed = ", ".join(map(str, all_of_them))
+    meant = [loader for loader in everybody if wanted in (None, loader.serial, loader.place)]
+    all_of_them = [loader for loader in everybody if chip in (None, loader.chip)]
+    matching = [loader for loader in meant if loader in all_of_them]
+    if meant and not matching:
+        raise AnnulusError(f"the board at USB {meant[0].place} is an {meant[0].chip}, the image is for an {chip}")
+    listed = ", ".join(map(str, all_of_them or everybody))
     if not matching:
         raise AnnulusError(f"no board {wanted} in its boot loader, there is {listed}")
     if len(matching) > 1:
@@ -161,6 +179,7 @@ class PicoBoot:
 
     def __init__(self, loader: BootLoader) -> None:
         self.place = loader.place
+        self._chip = loader.chip
         self._device = loader.device
         self._tokens = itertools.count(1)
         self._interface = self._out = self._in = 0
@@ -176,7 +195,7 @@ class PicoBoot:
             raise
 
     def exclusive_access(self) -> None:
-        """Nothing comes in by the drive RPI-RP2 any more."""
+        """Nothing comes in by the board's drive any more."""
         self._run(CommandId.EXCLUSIVE_ACCESS, bytes((_EXCLUSIVE,)))
 
     def exit_xip(self) -> None:
@@ -198,7 +217,10 @@ class PicoBoot:
     def reboot(self) -> None:
         """Start what is in the flash. The board leaves the bus; it may do so before it has said yes."""
         with contextlib.suppress(_Gone):
-            self._run(CommandId.REBOOT, struct.pack("<III", 0, 0, _REBOOT_DELAY_MS))
+            if self._chip is RP2350:
+                self._run(CommandId.REBOOT2, struct.pack("<IIII", 0, _REBOOT_DELAY_MS, 0, 0))
+            else:
+                self._run(CommandId.REBOOT, struct.pack("<III", 0, 0, _REBOOT_DELAY_MS))
 
     def close(self) -> None:
         usb.util.dispose_resources(self._device)
@@ -216,7 +238,9 @@ class PicoBoot:
             addresses = sorted(endpoint.bEndpointAddress for endpoint in interface)
             if interface.bInterfaceClass == 0xFF and [address & _IN for address in addresses] == [0, _IN]:
                 return interface.bInterfaceNumber, addresses[0], addresses[1]
-        raise AnnulusError(f"USB {self.place}: no PICOBOOT interface, expected the RP2040's boot ROM; or use its drive")
+        raise AnnulusError(
+            f"USB {self.place}: no PICOBOOT interface, expected the boot ROM of an {self._chip}; or use its drive"
+        )
 
     def _run(self, identity: CommandId, arguments: bytes = b"", data: bytes | int = b"") -> bytes:
         """One command; `data` to send, or how many bytes to fetch."""

@@ -18,9 +18,8 @@ from typing import Any
 
 from serial.tools import list_ports
 
+from annulus.flash.chips import CHIPS, RP2040, Chip
 from annulus.flash.image import (
-    BOARD,
-    FAMILY_RP2040,
     FLASH_START,
     PAGE_BYTES,
     Image,
@@ -86,7 +85,7 @@ def image_fields(image: Image) -> dict[str, object]:
         "firmware": "annulus" if who else "not annulus",
         "version": who.version if who else None,
         "git": who.git if who else None,
-        "board": who.board if who else BOARD,
+        "board": who.board if who else image.chip.board,
         "bytes": len(image.data),
         "protocol": who.protocol if who else None,
         "schema": f"{who.schema:08x}" if who else None,
@@ -122,7 +121,7 @@ class Controller:
     """A board on USB on which annulus runs."""
 
     port: str
-    serial: str  # of the board's flash: no other has it
+    serial: str  # of the board's chip or flash: no other has it
     place: str  # on the bus, as `BootLoader.place`
 
 
@@ -135,7 +134,7 @@ def find_controllers() -> list[Controller]:
 def boot_loader_fields(backend: Any = None) -> list[dict[str, object]]:
     """Boards that wait in their boot loaders; empty as well where USB cannot be searched."""
     try:
-        return [{"place": b.place, "serial": b.serial} for b in find_boot_loaders(backend)]
+        return [{"place": b.place, "serial": b.serial, "chip": b.chip.board} for b in find_boot_loaders(backend)]
     except AnnulusError:
         return []
 
@@ -178,19 +177,19 @@ def flash(
                 f"{port}: the boot loader speaks USB only, and no controller is on this machine's USB. Plug it in."
             )
         known = set() if drive else {b.place for b in find_boot_loaders(backend)}  # no libusb is told before a restart
-        enter_boot_loader(port)
+        enter_boot_loader(port, image.chip)
         say(f"{port}: restarting into the boot loader")
     if drive is not None:
         if port is not None:
-            _wait(lambda: _is_drive(drive), MOUNT_S)
+            _wait(lambda: drive_chip(drive) is not None, MOUNT_S)
         copy_to_drive(image, drive, progress=progress)
         how, where = "drive", str(drive)
     else:
         if port is None:
-            loader = choose(_or_say_who_runs(find_boot_loaders(backend)), board)
+            loader = choose(_or_say_who_runs(find_boot_loaders(backend)), board, image.chip)
         else:
-            loader = _await_boot_loader(known, place, board, backend)
-        say(f"USB {loader}: RP2040 boot loader")
+            loader = _await_boot_loader(known, place, board, backend, image.chip)
+        say(f"USB {loader}: boot loader of an {loader.chip}")
         with PicoBoot(loader) as boot:
             write_flash(boot, image.data, progress)
             boot.reboot()
@@ -204,9 +203,15 @@ def _flashed(image: Image, how: str, where: str, running: str | None) -> Flashed
     return Flashed(image.name, version, len(image.data), how, where, how != "drive", running)
 
 
-def enter_boot_loader(port: str) -> None:
-    """Ask the running firmware to restart into its boot loader. AnnulusError when it does not, with what to do."""
+def enter_boot_loader(port: str, chip: Chip) -> None:
+    """Ask the running firmware to restart into its boot loader.
+
+    Raises AnnulusError when it does not, with what to do, and when it is on another chip: nothing is restarted then.
+    """
     with Client(port, diagnostics=True) as client:
+        there = chip_of(_text(client.identity.board))
+        if there not in (None, chip):
+            raise AnnulusError(f"{port}: the head runs on an {there}, the image is for an {chip}")
         answer = client.ask(Bootloader(BOOTLOADER_MAGIC))
         if answer is None:
             raise AnnulusError(
@@ -249,7 +254,7 @@ def _or_say_who_runs(loaders: list[BootLoader]) -> list[BootLoader]:
     return loaders
 
 
-def _await_boot_loader(known: set[str], place: str | None, board: str | None, backend: Any) -> BootLoader:
+def _await_boot_loader(known: set[str], place: str | None, board: str | None, backend: Any, chip: Chip) -> BootLoader:
     """The boot loader that comes up at `place`, or that was not there before."""
     arrived: list[BootLoader] = []
 
@@ -263,7 +268,7 @@ def _await_boot_loader(known: set[str], place: str | None, board: str | None, ba
             f"no boot loader came up on USB within {APPEAR_S:g} s. Is the board's USB socket connected to this machine?"
             " It waits there until its power is switched off."
         )
-    return choose(arrived, board)
+    return choose(arrived, board, chip)
 
 
 def await_firmware(port: str, image: Image) -> str:
@@ -298,34 +303,59 @@ def to_uf2(image: Image) -> bytes:
     pages = range(0, len(image.data), PAGE_BYTES)
     blocks = []
     for number, at in enumerate(pages):
-        head = (0x0A324655, 0x9E5D5157, 0x2000, FLASH_START + at, PAGE_BYTES, number, len(pages), FAMILY_RP2040)
+        head = (0x0A324655, 0x9E5D5157, 0x2000, FLASH_START + at, PAGE_BYTES, number, len(pages), image.chip.family)
         payload = image.data[at : at + PAGE_BYTES].ljust(476, b"\0")
         blocks.append(struct.pack("<8I476sI", *head, payload, 0x0AB16F30))
     return b"".join(blocks)
 
 
 def find_drives(mounts: Path = Path("/proc/mounts")) -> list[Path]:
-    """Mounted drives that say they are an RP2040."""
+    """Mounted drives that say they are an RP2040 or RP2350."""
     try:
         lines = mounts.read_text().splitlines()
     except OSError:
         return []
     folders = [Path(line.split()[1].encode().decode("unicode_escape")) for line in lines if line.count(" ") >= 2]
-    return [folder for folder in folders if _is_drive(folder)]
+    return [folder for folder in folders if drive_chip(folder) is not None]
 
 
-def _is_drive(folder: Path) -> bool:
+def drive_chip(folder: Path) -> Chip | None:
+    """Whose boot loader this drive is; None: nobody's."""
     try:
-        return b"Board-ID: RPI-RP2" in (folder / "INFO_UF2.TXT").read_bytes()
+        lines = (folder / "INFO_UF2.TXT").read_bytes().splitlines()
     except OSError:
-        return False
+        return None
+    return next((chip for chip in CHIPS if f"Board-ID: {chip.drive}".encode() in lines), None)
+
+
+def chip_of(board: str) -> Chip | None:
+    """By the name its firmware has for it; None: no chip, as the simulated board."""
+    return next((chip for chip in CHIPS if chip.board == board), None)
+
+
+def chip_there(port: str | None = None, serial: str | None = None, drive: Path | None = None) -> Chip:
+    """Of the board that `flash` would take, as far as it can be told: an RP2040 otherwise."""
+    if drive is not None and port is None:
+        return drive_chip(drive) or RP2040
+    if port is not None:
+        return chip_of(str(board_fields(port)["board"])) or RP2040
+    for controller in find_controllers():
+        if controller.serial == serial:
+            return chip_there(controller.port)
+    waiting = {str(b["chip"]) for b in boot_loader_fields() if serial in (None, b["serial"], b["place"])}
+    return next((chip for chip in CHIPS if waiting == {chip.board}), RP2040)
 
 
 def copy_to_drive(image: Image, drive: Path, *, progress: Progress | None = None) -> None:
-    """Copy to an RPI-RP2 drive and wait until the board has left it, which it does when it has the whole image."""
-    if not _is_drive(drive):
+    """Copy to a board's drive and wait until the board has left it, which it does when it has the whole image."""
+    chip = drive_chip(drive)
+    if chip is None:
         there = ", ".join(map(str, find_drives())) or "none is mounted"
-        raise AnnulusError(f"{drive}: not an RP2040's drive (no INFO_UF2.TXT of RPI-RP2), expected one; {there}")
+        raise AnnulusError(
+            f"{drive}: not the drive of an {image.chip}: no INFO_UF2.TXT of {image.chip.drive}, expected one; {there}"
+        )
+    if chip is not image.chip:
+        raise AnnulusError(f"{drive}: the drive of an {chip}, the image is for an {image.chip}")
     content = to_uf2(image)
     assert parse_image(content, image.name).data == image.data
     step = 16 * 512
@@ -342,7 +372,7 @@ def copy_to_drive(image: Image, drive: Path, *, progress: Progress | None = None
         # The board restarts with the last block, and may be gone before the kernel has closed the file.
         if written < len(content) - step:
             raise AnnulusError(f"{target}: broke off after {written} bytes ({error.strerror}). Flash again.") from None
-    if not _wait(lambda: not _is_drive(drive), TAKE_S):
+    if not _wait(lambda: drive_chip(drive) is None, TAKE_S):
         raise AnnulusError(f"{drive}: still there {TAKE_S:g} s after the copy: the board did not take it. Try again.")
 
 

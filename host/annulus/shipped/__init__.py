@@ -1,4 +1,4 @@
-"""Files that come with the package and are no Python: the native library, the Pico's images, udev rule, units, manual.
+"""Files that come with the package and are no Python: the native library, the Picos' images, udev rule, units, manual.
 
 They lie in this folder, in a wheel and in a checkout alike: a build puts what it makes here (git ignores it), and
 nothing looks for it by a parent's folder. What only a checkout has is asked for here too.
@@ -11,12 +11,19 @@ from pathlib import Path
 
 from annulus.vocabulary import AnnulusError
 
-NATIVE, IMAGE, UDEV, MANUAL = "libannulus_native.so", "annulus.uf2", "99-annulus.rules", "manual"
+NATIVE, UDEV, MANUAL = "libannulus_native.so", "99-annulus.rules", "manual"
+IMAGE, IMAGE_RP2350 = "annulus.uf2", "annulus-rp2350.uf2"
 RIG = "rig.uf2"  # of a second Pico that tests the first
 UNIT, CONSOLE_UNIT = "annulus.service", "annulus-console.service"
 BUILD = "build.json"  # which version, commit and machine a wheel is of; only a wheel has it
 EMULATOR = "tools/emulator/emulate.mjs"
-_MADE_BY = {NATIVE: "make setup", IMAGE: "make firmware", RIG: "make firmware", MANUAL: "make docs"}
+_MADE_BY = {
+    NATIVE: "make setup",
+    IMAGE: "make firmware",
+    IMAGE_RP2350: "make firmware",
+    RIG: "make firmware",
+    MANUAL: "make docs",
+}
 
 
 _HERE = Path(str(resources.files(__name__)))

@@ -82,7 +82,7 @@ def test_no_file_needs_one_that_needs_it(board: str, prefix: str, tmp_path: Path
     """By what the linker sees, so no header hides it: core on either board is a graph without circles."""
     if shutil.which(f"{prefix}gcc") is None:
         pytest.skip(f"{prefix}gcc is not installed")
-    cpu = ["-mcpu=cortex-m0plus", "-mthumb", "-ffreestanding", "-Irp2040/libc"] if prefix else []
+    cpu = ["-mcpu=cortex-m0plus", "-mthumb", "-ffreestanding", "-Irp2040/libc", f"-I{board}"] if prefix else []
     defines: dict[str, str] = {}
     needs: dict[str, set[str]] = {}
     for source in sorted([*FIRMWARE.glob("core/*.c"), *FIRMWARE.glob(f"{board}/*.c")]):

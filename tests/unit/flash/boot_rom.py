@@ -1,4 +1,4 @@
-"""An RP2040 in its boot loader, as pyusb sees it: a backend that does what the boot ROM's own code does.
+"""An RP2040 or RP2350 in its boot loader, as pyusb sees it: a backend that does what the boot ROM's own code does.
 
 After raspberrypi/pico-bootrom-rp2040: usb_boot_device.c (descriptors, commands, stalls) and async_task.c (checks).
 """
@@ -20,6 +20,7 @@ OK, UNKNOWN_CMD, CMD_LENGTH, TRANSFER_LENGTH, ADDRESS, ALIGNMENT = 0, 1, 2, 3, 4
 REBOOTING = 7
 # id: (size of its arguments, moves data)
 COMMANDS = {1: (1, False), 2: (12, False), 3: (8, False), 4: (8, True), 5: (8, True), 6: (0, False), 7: (0, False)}
+COMMANDS_RP2350 = {number: moves for number, moves in COMMANDS.items() if number != 2} | {10: (16, False)}
 
 
 @dataclass
@@ -63,7 +64,8 @@ class Board:
         _, token, identity, size, _, transfer, arguments = struct.unpack("<IIBBHI16s", data)
         self.commands.append(identity)
         self.status = (token, UNKNOWN_CMD, identity, 0)
-        known = COMMANDS.get(identity & 0x7F)
+        commands = COMMANDS_RP2350 if self.product == 0x000F else COMMANDS
+        known = commands.get(identity & 0x7F)
         if known is None:
             self.halted |= {IN, OUT}
             return
@@ -90,7 +92,8 @@ class Board:
         if identity == 1:
             self.before(self, "exclusive")
             self.exclusive = arguments[0] != 0
-        elif identity == 2:
+        elif identity in (2, 10):
+            self.reboot_arguments = arguments
             self.before(self, "reboot")
             self.rebooted = True
         elif identity == 3:

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from annulus.flash.chips import CHIPS, RP2040, RP2350, Chip
 from annulus.flash.image import (
-    FAMILY_RP2040,
     FLASH_START,
     Image,
+    application,
     crc32_boot2,
     parse_image,
     read_image,
@@ -20,9 +21,11 @@ from annulus.flash.image import (
 )
 from annulus.flash.update import image_fields, to_uf2
 from annulus.link.messages import SCHEMA_HASH
-from annulus.shipped import IMAGE, shipped
+from annulus.shipped import shipped
 from annulus.vocabulary import AnnulusError
 
+# The least an RP2350 starts (datasheet 5.9.5): IMAGE_TYPE Arm, Secure, executable; last item; no other block.
+IMAGE_DEF = bytes.fromhex("d3deffff 42012110 ff010000 00000000 793512ab")
 BUILT = Path(__file__).resolve().parents[3] / "firmware/build"
 
 
@@ -36,8 +39,19 @@ def program(size: int = 1024, *, said: bytes | None = None, seed: int = 0) -> by
     return body + random.Random(seed + 1).randbytes(size - 512)
 
 
+def program_rp2350(size: int = 1024, board: bytes = b"rp2350") -> bytes:
+    """The same for an RP2350: vectors, IMAGE_DEF."""
+    vectors = struct.pack("<2I", 0x20081000, FLASH_START + 0x115)
+    said = b"annulus %s 0.1.0 deadbeef protocol 1U schema 0x%08XU\0" % (board, SCHEMA_HASH)
+    return (vectors.ljust(256, b"\0") + IMAGE_DEF + said).ljust(size, b"\x5a")
+
+
 def uf2(data: bytes | None = None) -> bytearray:
     return bytearray(to_uf2(Image("test", data or program(), None)))
+
+
+def uf2_rp2350(data: bytes | None = None) -> bytearray:
+    return bytearray(to_uf2(Image("test", data or program_rp2350(), None, RP2350)))
 
 
 def elf(data: bytes, cut: int = 300, machine: int = 40, address: int = FLASH_START) -> bytes:
@@ -109,7 +123,8 @@ def test_what_is_wrong_is_said() -> None:
         struct.pack_into("<I", content, 512 * block + 4 * word, value)
         return content
 
-    assert "another board (RP2350)" in refused(changed(0, 7, 0xE48BFF59))
+    assert "another board (RP2350, RISC-V)" in refused(changed(0, 7, 0xE48BFF5A))
+    assert "block 2 is for an RP2350 (Pico 2), those before it for an RP2040" in refused(changed(2, 7, 0xE48BFF59))
     assert "another board (SAMD51)" in refused(changed(3, 7, 0x55114460))
     assert "another board (family 12345678)" in refused(changed(1, 7, 0x12345678))
     assert "another board (no family)" in refused(changed(1, 2, 0))
@@ -163,11 +178,27 @@ def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
         read_image(tmp_path / "none.uf2")
 
 
-@pytest.mark.skipif(not (BUILT / "annulus.uf2").is_file(), reason="image not built: make firmware")
-def test_the_image_built_here_passes_and_its_elf_is_the_same() -> None:
-    image = read_image(BUILT / "annulus.uf2")
-    assert shipped(IMAGE).read_bytes() == (BUILT / "annulus.uf2").read_bytes()
-    assert image.data == read_image(BUILT / "annulus.elf").data
-    assert to_uf2(image) == (BUILT / "annulus.uf2").read_bytes()
-    assert struct.unpack_from("<I", image.data, 252)[0] == crc32_boot2(image.data[:252])
-    assert FAMILY_RP2040 == 0xE48BFF56
+def test_an_image_for_an_rp2350_is_told_from_one_for_an_rp2040_and_both_are_held_to_what_their_rom_starts() -> None:
+    image = parse_image(bytes(uf2_rp2350()), "x.uf2")
+    require_ours(image)
+    assert image.chip is RP2350 and image_fields(image)["board"] == "rp2350"
+    assert parse_image(elf(program_rp2350()), "x.elf").chip is RP2350  # an ELF says no family
+    assert parse_image(elf(program()), "x.elf").chip is RP2040
+    assert "annulus for board rp2040, expected rp2350" in refused(uf2_rp2350(program_rp2350(board=b"rp2040")))
+    assert "no IMAGE_DEF" in refused(uf2_rp2350(program_rp2350().replace(IMAGE_DEF[:4], b"\0" * 4)))
+    assert "no IMAGE_DEF" in refused(uf2_rp2350(program()))
+    assert "CRC of the second stage" in refused(uf2(program_rp2350()))
+
+
+@pytest.mark.parametrize("chip", CHIPS, ids=str)
+def test_the_image_built_here_passes_and_its_elf_is_the_same(chip: Chip) -> None:
+    built = BUILT / chip.image
+    if not built.is_file():
+        pytest.skip("image not built: make firmware")
+    image = read_image(built)
+    require_ours(image)
+    assert image.chip is chip
+    assert shipped(chip.image).read_bytes() == built.read_bytes()
+    assert image.data == read_image(built.with_suffix(".elf")).data
+    assert to_uf2(image) == built.read_bytes()
+    assert application(image).board == chip.board

@@ -1,6 +1,7 @@
 """Flashing by PICOBOOT against a boot ROM that does what the real one's code does; see boot_rom.py."""
 
 import errno
+import struct
 from collections.abc import Callable
 
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_image import program
 
+from annulus.flash.chips import RP2040, RP2350
 from annulus.flash.picoboot import (
     CommandId,
     PicoBoot,
@@ -227,8 +229,21 @@ def test_a_serial_number_nobody_may_read_does_not_hide_the_board() -> None:
     assert found.serial is None and "not readable" in str(found)
 
 
-def test_another_chips_boot_loader_is_named() -> None:
-    assert "RP2350" in one_line(lambda: find_boot_loaders(Bus(Board(product=0x000F))))
+def test_an_rp2350_is_flashed_and_restarted_by_its_own_command() -> None:
+    board = Board(product=0x000F, serial="51A8E9F3C0D2B471")
+    put(board)
+    assert bytes(board.flash[: len(IMAGE)]) == IMAGE and board.rebooted
+    assert struct.unpack("<IIII", board.reboot_arguments) == (0, 500, 0, 0)
+
+
+def test_a_board_with_another_chip_than_the_images_is_refused_and_never_taken_instead() -> None:
+    pico, pico2 = Board(ports=(1,)), Board(ports=(2,), product=0x000F)
+    found = find_boot_loaders(Bus(pico, pico2))
+    assert choose(found, chip=RP2040).place == "1-1"
+    assert choose(found, chip=RP2350).place == "1-2"
+    told = "the board at USB 1-2 is an RP2350 (Pico 2), the image is for an RP2040 (Pico)"
+    assert one_line(lambda: choose(found, "1-2", RP2040)) == told
+    assert one_line(lambda: choose(found[1:], chip=RP2040)) == told
 
 
 def test_a_boot_loader_without_picoboot_is_told() -> None:

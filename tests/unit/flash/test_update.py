@@ -13,17 +13,19 @@ import pytest
 from boot_rom import Board, Bus
 from serial.tools import list_ports
 from test_client import far_end, serving
-from test_image import program, uf2
+from test_image import program, program_rp2350, uf2, uf2_rp2350
 from typer.testing import CliRunner
 
 from annulus.cli.firmware import app
 from annulus.flash import update
+from annulus.flash.chips import RP2040, RP2350
 from annulus.flash.image import Image, parse_image
 from annulus.flash.update import (
     PRODUCT,
     Controller,
     Flashed,
     board_fields,
+    chip_there,
     copy_to_drive,
     find_controllers,
     find_drives,
@@ -101,7 +103,10 @@ def test_a_running_head_is_asked_into_its_boot_loader_flashed_and_asked_for_its_
     assert bytes(board.flash[: len(IMAGE.data)]) == IMAGE.data and board.rebooted
     assert set(bystander.flash) == {0x55}  # another board that waited all along is left alone
     assert (done.how, done.where, done.read_back, done.running) == ("picoboot", "1-2", True, "deadbeef")
-    assert said == [f"{port}: restarting into the boot loader", "USB 1-2 (E0C9125B0D9B): RP2040 boot loader"]
+    assert said == [
+        f"{port}: restarting into the boot loader",
+        "USB 1-2 (E0C9125B0D9B): boot loader of an RP2040 (Pico)",
+    ]
 
 
 @pytest.mark.usefixtures("usb_here")
@@ -214,9 +219,9 @@ def test_a_controller_that_runs_is_named_when_no_board_waits(monkeypatch: pytest
 
 
 @contextmanager
-def drive(folder: Path, *, takes: bool = True) -> Iterator[Path]:
-    """A folder that is an RPI-RP2 drive until it has a whole UF2."""
-    (folder / "INFO_UF2.TXT").write_text("UF2 Bootloader v2.0\nModel: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n")
+def drive(folder: Path, *, takes: bool = True, board: str = "RPI-RP2") -> Iterator[Path]:
+    """A folder that is a board's drive until it has a whole UF2."""
+    (folder / "INFO_UF2.TXT").write_text(f"UF2 Bootloader v2.0\nModel: Raspberry Pi RP2\nBoard-ID: {board}\n")
     done = threading.Event()
 
     def watch() -> None:
@@ -247,11 +252,30 @@ def test_the_drive_gets_a_uf2_of_the_same_image(tmp_path: Path) -> None:
 def test_a_folder_that_is_no_drive_is_not_written_to(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError) as caught:
         copy_to_drive(IMAGE, tmp_path)
-    assert "not an RP2040's drive" in one_line(caught)
+    assert "not the drive of an RP2040 (Pico)" in one_line(caught)
     (tmp_path / "INFO_UF2.TXT").write_text("Board-ID: SAMD51\n")
     with pytest.raises(AnnulusError):
         copy_to_drive(IMAGE, tmp_path)
     assert not (tmp_path / "annulus.uf2").exists()
+
+
+def test_the_wrong_boards_image_is_refused_in_one_line_by_every_way_and_nothing_is_written(tmp_path: Path) -> None:
+    told = "an RP2350 (Pico 2), the image is for an RP2040 (Pico)"
+    with drive(tmp_path, board="RP2350") as folder:
+        with pytest.raises(AnnulusError) as caught:
+            copy_to_drive(IMAGE, folder)
+        assert told in one_line(caught) and not (folder / "annulus.uf2").exists()
+        assert chip_there(drive=folder) is RP2350
+    board = Board(product=0x000F)
+    with pytest.raises(AnnulusError) as caught:
+        flash(IMAGE, backend=Bus(board))
+    assert told in one_line(caught) and not board.erased
+    head = Head(Bus(), board)
+    with far_end(serving(head)) as port:
+        assert chip_there(port) is RP2040  # the scripted controller is none of the two: as if it were a Pico
+    rp2350 = parse_image(bytes(uf2_rp2350(program_rp2350(2048))), "annulus-rp2350.uf2")
+    flash(rp2350, backend=Bus(board))
+    assert board.rebooted and bytes(board.flash[:2048]) == rp2350.data
 
 
 def test_a_drive_that_stays_is_told(tmp_path: Path) -> None:
