@@ -172,8 +172,9 @@ static uint16_t state_flags(const controller_t* const self)
 
 uint8_t execute_status(controller_t* const self, reply_status_t* const reply)
 {
-    *reply = (reply_status_t){.state = state_flags(self),
-                              .fault = events_fault_at_level(self->fault, self->level[self->asking]),
+    const uint8_t level = self->level[self->asking];
+    *reply = (reply_status_t){.state = (uint16_t)(state_flags(self) & state_flags_at_level(level)),
+                              .fault = events_fault_at_level(self->fault, level),
                               .generation = self->sequencer.config.generation,
                               .edges = self->sequencer.edges,
                               .rejected = board_edges_refused(),

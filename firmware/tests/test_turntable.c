@@ -315,6 +315,24 @@ static void steps_count_as_lost_only_after_an_end_at_speed(void)
     EXPECT_EQ(rig_status().state & STATE_TURNTABLE_LOST, 0);
 }
 
+static void a_host_of_level_1_is_told_no_flag_it_does_not_know(void)
+{
+    rig_start();
+    configure(0);
+    EXPECT_EQ(move(15000, 12000, 0).status, STATUS_OK);
+    pass_alive(100 * MS);
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    pass_alive(20 * MS);
+    EXPECT_EQ(rig_status().state & STATE_TURNTABLE_LOST, STATE_TURNTABLE_LOST);
+    uint8_t payload[COMMAND_INFO_LENGTH];
+    command_info_pack(&(command_info_t){.level = 1}, payload);
+    rig_command(COMMAND_INFO, payload);
+    EXPECT_EQ(rig_status().state, STATE_INTERLOCK_OPEN | STATE_SCHEMA_OK);
+    command_info_pack(&(command_info_t){.level = 2}, payload);
+    rig_command(COMMAND_INFO, payload);
+    EXPECT_EQ(rig_status().state, STATE_INTERLOCK_OPEN | STATE_SCHEMA_OK | STATE_TURNTABLE_LOST);
+}
+
 // The loop stood still, wherever it was, while the last steps were made: what came meanwhile finds the move over.
 static void what_comes_after_the_last_step_changes_nothing(void)
 {
@@ -366,6 +384,7 @@ void turntable_tests(void)
     RUN(the_first_reason_is_told_and_the_nearer_end_counts);
     RUN(a_hard_switch_ends_it_within_a_few_steps_either_way);
     RUN(steps_count_as_lost_only_after_an_end_at_speed);
+    RUN(a_host_of_level_1_is_told_no_flag_it_does_not_know);
     RUN(what_comes_after_the_last_step_changes_nothing);
     RUN(an_interlock_that_opens_takes_the_power_of_one_that_is_held);
     RUN(an_open_interlock_refuses_a_move_though_nothing_has_tripped);
