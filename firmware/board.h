@@ -358,8 +358,11 @@ uint16_t board_measured(bool latest, uint8_t word, uint8_t bits[BOARD_SAMPLE_BYT
 
 // ---- turntable and status light ----
 
-// Step to an absolute position; `hold` keeps the motor powered afterwards.
-void board_turntable_move(int32_t position, uint32_t period_ticks, bool hold);
+// The motor's power. Only while it stands.
+void board_turntable_power(bool on);
+
+// Step to an absolute position. The first step rises half a period from now, and `wait_ticks` from now at the earliest.
+void board_turntable_move(int32_t position, uint32_t period_ticks, uint32_t wait_ticks);
 
 // Another period, from at most three steps on.
 void board_turntable_pace(uint32_t period_ticks);

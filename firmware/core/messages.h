@@ -23,6 +23,8 @@
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
 #define INTERLOCK_DISAGREE_MS 5U  // two interlock inputs may contradict each other for so long: a relay's contacts
 #define PREAMBLE_MAX 63U  // edges of a preamble
+#define TURNTABLE_LEAD_MS 5U  // from ENABLE low to the first step: until a driver is awake it ignores STEP
+#define TURNTABLE_LAG_MS 50U  // from the last step to ENABLE high: let go while it swings, a rotor settles elsewhere
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
 #define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
 #define FRAME_PERIOD_MIN_TICKS 200000U  // fastest frame rate
@@ -1025,7 +1027,7 @@ typedef struct {
 void event_burst_done_pack(const event_burst_done_t* self, uint8_t* payload);
 void event_burst_done_unpack(event_burst_done_t* self, const uint8_t* payload);
 
-// The turntable stands still.
+// The turntable has made its last step. Its motor keeps its power turntable_lag_ms longer, or until another move where it is held.
 #define EVENT_TURNTABLE_DONE_LENGTH 8U
 typedef struct {
     uint32_t tick;  // ticks

@@ -93,7 +93,7 @@ void safety_run(controller_t* const self, const uint32_t now)
     const bool starved = board_microwave_starved();  // first: an interlock that opens in between is the cause of both
     const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was live
     const bool live = (self->armed != 0U) || self->turntable.moving;
-    if (tripped && (live || self->turntable.hold)) {
+    if (tripped && (live || self->turntable.powered)) {
         safety_trip(self, FAULT_INTERLOCK, 0U);
     }
     watch_interlock(self, now);

@@ -7,9 +7,13 @@
 #include "turntable.h"
 
 #include "../board.h"
+#include "../ticks.h"
 
 // Speeds are counted in quarters of a step a second, so that their squares fit 32 bits and slow ramps are fine.
 #define SPEED_TICKS (4U * TICK_HZ)
+#define LEAD_TICKS ((int32_t)(TURNTABLE_LEAD_MS * TICKS_PER_MS))
+#define LAG_TICKS ((int32_t)(TURNTABLE_LAG_MS * TICKS_PER_MS))
+
 #define SQUARE_A_STEP 32U  // what one step at 1 step/s^2 adds to the square of such a speed: 16 * 2 * a
 
 // Places of fields in MOVE and TURNTABLE, as `detail` names them.
@@ -94,6 +98,34 @@ static uint32_t braking_steps(const turntable_t* const self)
     return (uint32_t)((from - to) / ((uint64_t)SQUARE_A_STEP * self->config.acceleration)) + 1U;
 }
 
+static void power_up(turntable_t* const self)
+{
+    if (!self->powered) {
+        board_turntable_power(true);
+        self->powered = true;
+        self->awake = false;
+        self->powered_at = board_tick();  // after it, so that the lead is never short
+    }
+}
+
+// What the driver still needs until it takes a step.
+static uint32_t lead_left(const turntable_t* const self)
+{
+    const int32_t left = LEAD_TICKS - ticks_since(board_tick(), self->powered_at);
+    return (self->awake || (left <= 0)) ? 0U : (uint32_t)left;
+}
+
+// Both ticks are forgotten when their time is over, long before they wrap.
+static void watch_power(turntable_t* const self, const uint32_t now)
+{
+    self->awake = self->awake || (ticks_since(now, self->powered_at) >= LEAD_TICKS);
+    self->swings = self->swings && (ticks_since(now, self->stood_at) < LAG_TICKS);
+    if (self->powered && !self->moving && !self->hold && !self->swings) {
+        board_turntable_power(false);
+        self->powered = false;
+    }
+}
+
 uint8_t turntable_move(turntable_t* const self, const command_move_t* const command, uint8_t* const detail)
 {
     if (self->moving) {
@@ -118,7 +150,10 @@ uint8_t turntable_move(turntable_t* const self, const command_move_t* const comm
     // At most 2 * TURNTABLE_POSITION_MAX_STEPS: three words a step still fit a DMA channel's count.
     self->steps = (uint32_t)(up ? command->position - from : from - command->position);
     self->pace = period_at(self, 0U);
-    board_turntable_move(command->position, self->pace, self->hold);
+    if (self->hold || (self->steps > 0U)) {
+        power_up(self);
+    }
+    board_turntable_move(command->position, self->pace, lead_left(self));
     return STATUS_OK;
 }
 
@@ -155,6 +190,8 @@ void turntable_cut(turntable_t* const self)
         mark_lost(self);
     }
     self->hold = false;
+    self->powered = false;
+    self->swings = false;
     board_turntable_cut();
 }
 
@@ -189,6 +226,10 @@ void turntable_run(turntable_t* const self, events_t* const events, const uint32
         }
     } else if (self->moving) {
         self->moving = false;
+        if (self->powered && (self->steps > 0U)) {
+            self->swings = true;
+            self->stood_at = board_tick();  // not `now`: the last step may have come since this round began
+        }
         const int32_t position = board_turntable_position();
         if (self->cause != 0U) {
             event_turntable_stopped_pack(
@@ -199,4 +240,5 @@ void turntable_run(turntable_t* const self, events_t* const events, const uint32
         event_turntable_done_pack(&(event_turntable_done_t){.tick = now, .position = position},
                                   events_emit(events, EVENT_TURNTABLE_DONE));
     }
+    watch_power(self, now);
 }

@@ -11,14 +11,19 @@
 
 typedef struct {
     command_turntable_t config;
-    bool moving;      // TURNTABLE_DONE is due
-    bool hold;        // powered after this move, or since the last one
-    bool lost;        // ended at once from above the start speed since it was last configured
-    uint8_t cause;    // STOP_CAUSE_* of this move, or 0: it arrives by itself
-    uint8_t towards;  // TURNTABLE_END_*: the switch that this move may meet
-    uint32_t period;  // asked for
-    uint32_t pace;    // period in force
-    uint32_t steps;   // of this move, as it will end
+    bool moving;          // TURNTABLE_DONE is due
+    bool hold;            // powered after this move, or since the last one
+    bool powered;         // ENABLE is low
+    bool awake;           // for TURNTABLE_LEAD_MS: the driver takes steps
+    bool swings;          // the last step is no longer ago than TURNTABLE_LAG_MS
+    uint32_t powered_at;  // tick; of no meaning once it is awake
+    uint32_t stood_at;    // tick; of no meaning unless it swings
+    bool lost;            // ended at once from above the start speed since it was last configured
+    uint8_t cause;        // STOP_CAUSE_* of this move, or 0: it arrives by itself
+    uint8_t towards;      // TURNTABLE_END_*: the switch that this move may meet
+    uint32_t period;      // asked for
+    uint32_t pace;        // period in force
+    uint32_t steps;       // of this move, as it will end
 } turntable_t;
 
 // After a reset: the widest limits, no ramp, no switches.

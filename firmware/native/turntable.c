@@ -8,7 +8,6 @@ static struct {
     int32_t position;
     int32_t target;
     uint32_t period;
-    bool hold;
     bool moving;
     uint64_t next;
 } motor;
@@ -30,32 +29,33 @@ static int32_t direction(void)
 
 void turntable_step(void)
 {
+    if (motor.position != motor.target) {
+        const bool rises = native_pin(PIN_STEP) == 0U;
+        pinuse_drive(PIN_STEP, rises ? 1 : 0);
+        motor.position += rises ? 0 : direction();
+        motor.next += rises ? motor.period / 2U : motor.period - motor.period / 2U;
+    }
     if (motor.position == motor.target) {
         motor.moving = false;
-        pinuse_drive(PIN_ENABLE, motor.hold ? 0 : 1);
         time_wake();
-        return;
-    }
-    if (native_pin(PIN_STEP) == 0U) {
-        pinuse_drive(PIN_STEP, 1);
-        motor.next += motor.period / 2U;
-    } else {
-        pinuse_drive(PIN_STEP, 0);
-        motor.position += direction();
-        motor.next += motor.period - motor.period / 2U;
     }
 }
 
-void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
+void board_turntable_power(const bool on)
 {
     time_pass();
+    pinuse_drive(PIN_ENABLE, on ? 0 : 1);
+}
+
+void board_turntable_move(const int32_t position, const uint32_t period_ticks, const uint32_t wait_ticks)
+{
+    time_pass();
+    const uint32_t half_period = period_ticks / 2U;
     motor.target = position;
     motor.period = period_ticks;
-    motor.hold = hold;
-    motor.moving = true;
-    motor.next = world.now + period_ticks;  // the driver wants direction and power some time before the first step
+    motor.moving = position != motor.position;
+    motor.next = world.now + ((wait_ticks > half_period) ? wait_ticks : half_period);
     pinuse_drive(PIN_DIRECTION, (position >= motor.position) ? 1 : 0);
-    pinuse_drive(PIN_ENABLE, 0);
 }
 
 void board_turntable_pace(const uint32_t period_ticks)
@@ -82,6 +82,7 @@ uint32_t board_turntable_shorten(const uint32_t steps)
     const uint32_t left = steps_left();
     const uint32_t taken = (left > steps) ? left - steps : 0U;
     motor.target -= (int32_t)taken * direction();
+    motor.moving = motor.moving && (motor.target != motor.position);
     return taken;
 }
 

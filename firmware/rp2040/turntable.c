@@ -17,7 +17,6 @@ static struct {
     int32_t start;   // where it stood, or stands
     uint32_t steps;  // of this move
     bool up;
-    bool hold;
     bool moving;
     uint32_t later;  // words that DMA can not count yet: an RP2350's counts 89 million steps
 } motor;
@@ -65,20 +64,26 @@ static void finish_when_done(void)
     } else if (motor.moving && fed && (fifo_words() == 0U) &&
                (REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE)) == LAMP_IDLE)) {
         stand_at(motor.steps);
-        REGISTER(motor.hold ? SIO_GPIO_OUT_CLEAR : SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     }
 }
 
-void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
+void board_turntable_power(const bool on)
+{
+    REGISTER(on ? SIO_GPIO_OUT_CLEAR : SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
+}
+
+// The delay of the first step is no word of DMA's: the machine, which stands, gets it at once, and DMA the rest.
+void board_turntable_move(const int32_t position, const uint32_t period_ticks, const uint32_t wait_ticks)
 {
     motor.up = position >= motor.start;
     motor.steps = motor.up ? (uint32_t)position - (uint32_t)motor.start : (uint32_t)motor.start - (uint32_t)position;
-    motor.hold = hold;
-    motor.moving = true;
+    motor.moving = motor.steps > 0U;
     REGISTER(motor.up ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_DIRECTION;
-    REGISTER(SIO_GPIO_OUT_CLEAR) = 1U << PIN_ENABLE;
     half_period = half_of(period_ticks);
-    start_words(WORDS_PER_STEP * motor.steps);
+    if (motor.moving) {
+        REGISTER(PIO_TX(PIO0, STEP_MACHINE)) = (wait_ticks > half_period) ? wait_ticks : half_period;
+        start_words(WORDS_PER_STEP * motor.steps - 1U);
+    }
 }
 
 void board_turntable_pace(const uint32_t period_ticks)

@@ -3,6 +3,9 @@
 #include "rig.h"
 #include "check.h"
 
+#define LEAD (TURNTABLE_LEAD_MS * MS)
+#define LAG (TURNTABLE_LAG_MS * MS)
+
 static reply_move_t move(const int32_t position, const uint32_t period, const uint8_t hold)
 {
     uint8_t payload[COMMAND_MOVE_LENGTH];
@@ -20,15 +23,17 @@ static void the_turntable_goes_to_absolute_positions_both_ways(void)
     EXPECT_EQ(native_pin(PIN_DIRECTION), 1);
     EXPECT(rig_status().state & STATE_TURNTABLE_MOVING);
     EXPECT_EQ(move(0, 10000, 0).status, STATUS_BAD_STATE);
-    rig_pass(20 * MS);
+    rig_pass(30 * MS);
     EXPECT_EQ(rig_rises(PIN_STEP), 200);
     EXPECT_EQ(rig_rise(PIN_STEP, 199) - rig_rise(PIN_STEP, 0), 199 * 10000);
     event_turntable_done_t done;
     event_turntable_done_unpack(&done, rig_take(EVENT_TURNTABLE_DONE)->payload);
     EXPECT_EQ(done.position, 200);
+    EXPECT_EQ(native_pin(PIN_ENABLE), 0);
+    rig_pass(LAG);
     EXPECT_EQ(native_pin(PIN_ENABLE), 1);
     EXPECT_EQ(move(-50, 20000, 1).position, 200);
-    rig_pass(60 * MS);
+    rig_pass(60 * MS + LAG);
     EXPECT_EQ(rig_status().turntable, -50);
     EXPECT_EQ(native_pin(PIN_DIRECTION), 0);
     EXPECT_EQ(native_pin(PIN_ENABLE), 0);  // held
@@ -53,7 +58,7 @@ static void an_interlock_that_opens_takes_the_power_of_one_that_is_held(void)
     for (uint8_t hold = 0; hold < 2U; hold++) {
         rig_start();
         EXPECT_EQ(move(20, 10000, hold).status, STATUS_OK);
-        rig_pass(10 * MS);
+        rig_pass(10 * MS + LAG);
         EXPECT_EQ(native_pin(PIN_ENABLE), 1U - hold);
         native_input(native_tick(), PIN_INTERLOCK, 1);
         rig_pass(1 * MS);
@@ -371,8 +376,82 @@ static void an_open_interlock_refuses_a_move_though_nothing_has_tripped(void)
     EXPECT_EQ(move(10, 10000, 0).status, STATUS_OK);
 }
 
+static uint64_t last_step(void)
+{
+    return rig_fall(PIN_STEP, rig_rises(PIN_STEP) - 1U);
+}
+
+static void the_driver_has_time_to_wake_before_the_first_step(void)
+{
+    rig_start();
+    rig_forget();
+    EXPECT_EQ(move(5, 20000, 1).status, STATUS_OK);
+    rig_pass(20 * MS);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_ENABLE, 0) >= LEAD);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_ENABLE, 0) < LEAD + 10 * US);
+    EXPECT_EQ(rig_rise(PIN_STEP, 1) - rig_rise(PIN_STEP, 0), 20000);
+    rig_pass(30000 * MS);  // so long that a tick is no measure of it
+    rig_forget();
+    EXPECT_EQ(move(-5, 20000, 0).status, STATUS_OK);  // powered already: half a period after its direction
+    rig_pass(20 * MS);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_DIRECTION, 0) >= 10000);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_DIRECTION, 0) < 10000 + 10 * US);
+    rig_pass(LAG);
+    rig_forget();
+    EXPECT_EQ(move(-5, 20000, 1).status, STATUS_OK);  // no step, but power
+    EXPECT_EQ(move(0, 20000, 0).status, STATUS_OK);   // what is left of the lead
+    rig_pass(20 * MS);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_ENABLE, 0) >= LEAD);
+    EXPECT(rig_rise(PIN_STEP, 0) - rig_fall(PIN_ENABLE, 0) < LEAD + 10 * US);
+}
+
+static void the_rotor_comes_to_rest_before_its_power_goes(void)
+{
+    for (int ends = 0; ends < 4; ends++) {
+        rig_start();
+        native_input(native_tick(), PIN_END_HIGH, 0);
+        rig_pass(MS);
+        configure(TURNTABLE_END_HIGH | ((ends == 3) ? TURNTABLE_END_HARD : 0U));
+        EXPECT_EQ(move((ends == 0) ? 100 : 2000, 50000, 0).status, STATUS_OK);
+        pass_alive(100 * MS);
+        if (ends == 1) {
+            stop_now();
+        } else if (ends > 1) {
+            native_input(native_tick(), PIN_END_HIGH, 1);
+        }
+        pass_alive(200 * MS);
+        EXPECT_EQ(rig_count(EVENT_TURNTABLE_DONE), 1);
+        EXPECT(rig_rise(PIN_ENABLE, 0) - last_step() >= LAG);
+        EXPECT(rig_rise(PIN_ENABLE, 0) - last_step() < LAG + 4 * ROUND);
+    }
+    rig_start();
+    EXPECT_EQ(move(0, 10000, 0).status, STATUS_OK);
+    rig_forget();
+    EXPECT_EQ(move(10, 10000, 0).status, STATUS_OK);
+    rig_pass(40 * MS);
+    EXPECT_EQ(move(0, 10000, 0).status, STATUS_OK);  // meanwhile: at once, and the lag begins anew
+    rig_pass(40 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 20);
+    EXPECT(rig_rise(PIN_STEP, 10) - rig_fall(PIN_DIRECTION, 0) < 5000 + 10 * US);
+    EXPECT_EQ(rig_rises(PIN_ENABLE), 0);
+    rig_pass(20 * MS);
+    EXPECT(rig_rise(PIN_ENABLE, 0) - last_step() >= LAG);
+    rig_forget();
+    EXPECT_EQ(move(0, 10000, 0).status, STATUS_OK);  // already there: no power for nothing
+    EXPECT_EQ(rig_fall(PIN_ENABLE, 0), 0);
+    EXPECT_EQ(move(10, 10000, 0).status, STATUS_OK);
+    rig_pass(20 * MS);
+    const uint64_t opens = native_tick();
+    native_input(opens, PIN_INTERLOCK, 1);
+    rig_pass(MS);
+    EXPECT(rig_rise(PIN_ENABLE, 0) - opens < 100 * US);  // at once
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+}
+
 void turntable_tests(void)
 {
+    RUN(the_driver_has_time_to_wake_before_the_first_step);
+    RUN(the_rotor_comes_to_rest_before_its_power_goes);
     RUN(the_turntable_goes_to_absolute_positions_both_ways);
     RUN(a_move_out_of_range_is_refused);
     RUN(a_ramp_is_monotone_and_never_faster_than_asked);

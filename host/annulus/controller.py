@@ -18,6 +18,8 @@ UPDATE_MAX_BYTES = 65536  # largest application: a slot of flash
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
 INTERLOCK_DISAGREE_MS = 5  # two interlock inputs may contradict each other for so long: a relay's contacts
 PREAMBLE_MAX = 63  # edges of a preamble
+TURNTABLE_LEAD_MS = 5  # from ENABLE low to the first step: until a driver is awake it ignores STEP
+TURNTABLE_LAG_MS = 50  # from the last step to ENABLE high: let go while it swings, a rotor settles elsewhere
 
 # Limits, compiled into the controller and enforced there.
 LAMP_WIDTH_MAX_TICKS = 2000000  # longest flash

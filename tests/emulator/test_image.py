@@ -29,6 +29,8 @@ from annulus.controller import (
     PIN_STEP,
     PIN_SYNC,
     PIN_TRIGGER,
+    TURNTABLE_LAG_MS,
+    TURNTABLE_LEAD_MS,
 )
 from annulus.link.codec import Frame, encode
 from annulus.link.messages import (
@@ -315,15 +317,16 @@ def test_the_odometer_is_exact_at_every_edge(board: EmulatedBoard) -> None:
 def test_the_turntable_makes_its_steps_and_lets_go(board: EmulatedBoard) -> None:
     board.identify()
     assert board.request(Move(position=25, period=20_000, hold=0)).status == StatusCode.OK
-    board.run(board.now + 7 * MS)
+    board.run(board.now + 7 * MS + TURNTABLE_LEAD_MS * MS)
     assert [event.position for event in board.heard(TurntableDone)] == [25]
     rises = board.rises(PIN_STEP)
     assert len(rises) == 25
     assert {abs(later - earlier - 20_000) for earlier, later in itertools.pairwise(rises)} <= {0, 1, 2}
     assert board.rises(PIN_DIRECTION) != []
+    board.run(board.now + TURNTABLE_LAG_MS * MS)
     assert board.rises(PIN_ENABLE)[-1] > rises[-1]
     assert board.request(Move(position=20, period=10_000, hold=1)).status == StatusCode.OK
-    board.run(board.now + 2 * MS)
+    board.run(board.now + 2 * MS + TURNTABLE_LEAD_MS * MS)
     assert len(board.rises(PIN_STEP)) == 30
     assert [event.position for event in board.heard(TurntableDone)] == [25, 20]
     assert board.falls(PIN_DIRECTION) != []

@@ -16,6 +16,8 @@ from annulus.controller import (
     PIN_STEP,
     TICK_HZ,
     TICKS_PER_US,
+    TURNTABLE_LAG_MS,
+    TURNTABLE_LEAD_MS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
 from annulus.link.messages import (
@@ -39,6 +41,7 @@ from annulus.link.messages import (
 )
 
 US = TICKS_PER_US
+LEAD, LAG = TURNTABLE_LEAD_MS * MS, TURNTABLE_LAG_MS * MS
 ROUND = 250 * US  # of the main loop, at most, and its sleep
 UNDER_WAY = 3  # steps that are made after it was decided that none shall begin
 MET = 2  # ticks by which a period may differ
@@ -316,7 +319,7 @@ def test_no_step_rises_without_power_however_close_to_the_cut(board: EmulatedBoa
         board.request(Clear())
         forget(board)
         assert start(board, stands + 500, hold=1).status == StatusCode.OK
-        board.run(board.now + MS)
+        board.run(board.now + LEAD + MS)
         board.input((board.now, PIN_INTERLOCK, 1))
         board.run_to("board_turntable_cut")
         due = board.rises(PIN_STEP)[-1] + intervals(board)[0]
@@ -329,6 +332,75 @@ def test_no_step_rises_without_power_however_close_to_the_cut(board: EmulatedBoa
         [done] = board.heard(TurntableDone)
         assert done.position - stands == len(board.rises(PIN_STEP))
         stands = done.position
+
+
+def test_a_driver_has_time_to_wake_before_the_first_step(board: EmulatedBoard) -> None:
+    """The first step came within 50 us of ENABLE: a driver that sleeps until then misses it."""
+    ready(board)
+    forget(board)
+    assert start(board, 30, hold=1).status == StatusCode.OK
+    until_it_stands(board)
+    [on] = board.falls(PIN_ENABLE)
+    assert LEAD <= board.rises(PIN_STEP)[0] - on <= LEAD + 5 * US
+    board.run_alive(board.now + 60 * MS)
+    forget(board)
+    told = board.now
+    assert start(board, 0, period=20_000).status == StatusCode.OK  # held: at once
+    until_it_stands(board)
+    assert board.rises(PIN_STEP)[0] - told <= MS + START // 2
+    assert board.falls(PIN_ENABLE) == []
+    board.run(board.now + LAG + MS)
+    forget(board)
+    assert start(board, 0, hold=1).status == StatusCode.OK  # no step, but power
+    board.run(board.now + 2 * MS)
+    [on] = board.falls(PIN_ENABLE)
+    board.events.clear()
+    assert start(board, 5, period=20_000).status == StatusCode.OK  # what is left of the lead
+    assert until_it_stands(board) == 5
+    assert LEAD <= board.rises(PIN_STEP)[0] - on <= LEAD + 5 * US
+
+
+@pytest.mark.deep(but=1)
+@pytest.mark.parametrize("how", ["arrival", "stop", "disarm", "end", "hard end"])
+def test_the_rotor_comes_to_rest_before_its_power_goes(board: EmulatedBoard, how: str) -> None:
+    """ENABLE went within a round of the last step, while the rotor still swung."""
+    ready(board, switches=BOTH | (TurntableFlag.END_HARD if how == "hard end" else TurntableFlag(0)))
+    forget(board)
+    assert start(board, 60 if how == "arrival" else 5_000).status == StatusCode.OK
+    board.run_alive(board.now + 60 * MS)
+    if how in ("stop", "disarm"):
+        board.request(TurntableStop() if how == "stop" else Arm(outputs=ArmFlag(0)))
+    elif how != "arrival":
+        board.input((board.now, PIN_END_HIGH, 1))
+    until_it_stands(board)
+    last = board.falls(PIN_STEP)[-1]
+    assert board.now < last + LAG // 2  # told when the last step was made, not when the power goes
+    assert StateFlag.TURNTABLE_MOVING not in state(board)
+    board.run(last + LAG + 2 * ROUND)
+    [off] = board.rises(PIN_ENABLE)
+    assert LAG <= off - last <= LAG + 2 * ROUND
+
+
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_the_rotor_comes_to_rest_before_its_power_goes")
+def test_while_the_rotor_swings_a_move_begins_at_once_and_an_interlock_takes_its_power(board: EmulatedBoard) -> None:
+    ready(board, acceleration=0)
+    forget(board)
+    assert start(board, 20).status == StatusCode.OK
+    until_it_stands(board)
+    board.run(board.falls(PIN_STEP)[-1] + LAG - MS)
+    made, told = len(board.rises(PIN_STEP)), board.now
+    board.events.clear()
+    assert start(board, 0).status == StatusCode.OK
+    assert until_it_stands(board) == 0
+    assert board.rises(PIN_STEP)[made] - told <= MS
+    assert board.rises(PIN_ENABLE) == []
+    opens = board.now
+    assert opens < board.falls(PIN_STEP)[-1] + LAG
+    board.input((opens, PIN_INTERLOCK, 1))
+    board.run(opens + MS)
+    [off] = board.rises(PIN_ENABLE)
+    assert off - opens <= ROUND
+    assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.INTERLOCK]
 
 
 def test_a_place_read_while_it_moves_is_that_of_the_pins_and_never_goes_back(board: EmulatedBoard) -> None:

@@ -14,6 +14,8 @@ from annulus.controller import (
     PIN_STEP,
     TICK_HZ,
     TICKS_PER_US,
+    TURNTABLE_LAG_MS,
+    TURNTABLE_LEAD_MS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
 from annulus.link.messages import (
@@ -29,7 +31,7 @@ from annulus.link.messages import (
     TurntableStopped,
     TurntableStopReply,
 )
-from tools.attack.boards import Edge, insist
+from tools.attack.boards import MS, Edge, insist
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 
@@ -38,6 +40,7 @@ CUT = 250 * US  # from an interlock that opens to the last step
 MET = 2  # ticks by which a period may be shorter than asked
 UNDER_WAY = 6  # steps beyond the braking distance
 AT_ONCE = 3  # steps at a hard switch
+LEAD, LAG = TURNTABLE_LEAD_MS * MS, TURNTABLE_LAG_MS * MS
 FREE = Turntable(-TURNTABLE_POSITION_MAX_STEPS, TURNTABLE_POSITION_MAX_STEPS, 0, 0, TurntableFlag(0))
 END_PINS = ((TurntableFlag.END_LOW, PIN_END_LOW, -1), (TurntableFlag.END_HIGH, PIN_END_HIGH, 1))
 
@@ -53,6 +56,7 @@ class Run:
     until: int  # tick at which it surely stood
     cause: int  # 0: it arrived
     steps: list[tuple[int, int]]  # tick, +1 or -1
+    followed: bool  # by another move of the same scene
 
     @property
     def move(self) -> Move:
@@ -106,7 +110,7 @@ class Motor:
         for run in runs:
             self._arrival(run)
             self._pace(run, bool(kept.stalls))
-            self._power(run, latched)
+            self._power(run, latched, bool(kept.stalls))
             self._ended(run, kept, latched, slow)
             self._cause(run, kept, scene)
             if not kept.stalls:
@@ -123,7 +127,9 @@ class Motor:
             elif pin == PIN_ENABLE:
                 self.enable.append((tick, level))
             elif pin == PIN_STEP and level:
-                insist(self.enable[-1][1] == 0, "a step without power", tick)
+                on, enable = self.enable[-1]
+                insist(enable == 0, "a step without power", tick)
+                insist(tick - on >= LEAD, f"a step {(tick - on) / US:.0f} us after the power came", tick)
                 steps.append((tick, 1 if self.up else -1))
         self.player.motor.clear()
         return steps
@@ -174,7 +180,8 @@ class Motor:
                     end = fewer
                     break
             mine, at = steps[at:end], end
-            runs.append(Run(asked, config, position, done, until, stops.get(done.index, 0), mine))
+            followed = asked is not accepted[-1]
+            runs.append(Run(asked, config, position, done, until, stops.get(done.index, 0), mine, followed))
             position += sum(way for _, way in mine)
             insist(done.event.position == position, f"{done.event}: its steps lead to {position}", done.tick)
         insist(at == len(steps), "steps of no move", steps[at][0] if at < len(steps) else 0)
@@ -210,12 +217,23 @@ class Motor:
                 second,
             )
 
-    def _power(self, run: Run, latched: list[int]) -> None:
-        """ENABLE once it stands, and from a fault on."""
+    def _power(self, run: Run, latched: list[int], stalled: bool) -> None:
+        """ENABLE once it stands and from a fault on; and for how long the rotor may swing."""
         first = run.steps[0][0] if run.steps else run.done.tick  # before that it may have waited to be read
         cut = [tick for tick in latched if first < tick <= run.done.tick]
-        wanted = 1 if cut or run.cause == StopCause.FAULT or not run.move.hold else 0
-        insist(wanted in self._levels(run.done.tick, run.until), f"{run.move}: ENABLE is not {wanted}", run.done.tick)
+        if run.steps or run.move.hold:
+            wanted = 1 if cut or run.cause == StopCause.FAULT else 0
+            levels = self._levels(run.done.tick, run.until)
+            insist(wanted in levels, f"{run.move}: ENABLE is not {wanted}", run.done.tick)
+        last = run.steps[-1][0] if run.steps else run.done.tick
+        margin = run.until - run.done.tick
+        gone_at = next((tick for tick, level in self.enable if level and tick > last), 1 << 62)
+        early = bool(run.steps) and gone_at < last + LAG
+        faulty = any(abs(gone_at - when) <= margin for when in latched)
+        insist(not early or faulty, f"{run.move}: the power gone {(gone_at - last) / US:.0f} us after a step", gone_at)
+        if not run.move.hold and not run.followed and not stalled:
+            gone = self._levels(run.until + LAG + margin, 1 << 62)
+            insist(gone == {1}, f"{run.move}: the power stays on", run.done.tick)
         for tick in cut:
             if run.steps and tick > run.steps[0][0]:
                 insist(self._levels(tick, tick) == {1}, "ENABLE still low at a latched fault", tick)

@@ -12,6 +12,7 @@ from annulus.controller import (
     PIN_INTERLOCK,
     PIN_STEP,
     PIN_SYNC,
+    TURNTABLE_LAG_MS,
 )
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
@@ -45,7 +46,8 @@ from tools.attack.scenes import Scene
 
 BYTE_TICKS = 1000
 PATIENCE = 30 * MS  # for an answer, a full line of events before it
-STANDS_WITHIN = 400 * MS  # the turntable, along the slowest ramp of a scene
+STANDS_WITHIN = 410 * MS  # the turntable, along the slowest ramp of a scene, its driver's lead before it
+LAG = TURNTABLE_LAG_MS * MS + MS  # until its power is surely gone
 MOTOR = (PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 
 
@@ -312,7 +314,7 @@ class Player:
             if self.board.now > end:
                 raise BrokenPromiseError("the turntable still moves, though everything was disarmed")
             self.run(self.board.now + 5 * MS)
-        self.run(self.board.now + 6 * MS)
+        self.run(self.board.now + 6 * MS + (LAG if self.motor else 0))
         self.kept.missed = self._missed()
         if self.kept.missed != self.kept.missed_before:
             self.run(self.board.now + 101 * MS)  # it is said at most once in 100 ms

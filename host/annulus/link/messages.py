@@ -2287,7 +2287,9 @@ class BurstDone(Event):
 
 @dataclass(frozen=True, slots=True)
 class TurntableDone(Event):
-    """The turntable stands still."""
+    """The turntable has made its last step. Its motor keeps its power turntable_lag_ms longer, or until another move where
+    it is held.
+    """
 
     ID: ClassVar[int] = 0x86
     SCHEMA_BYTE: ClassVar[int] = 0x09

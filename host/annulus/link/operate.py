@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from annulus.controller import CHIPS_MAX, CODES, HOST_TIMEOUT_DEFAULT_MS, TICK_HZ, TICKS_PER_US
+from annulus.controller import CHIPS_MAX, CODES, HOST_TIMEOUT_DEFAULT_MS, TICK_HZ, TICKS_PER_US, TURNTABLE_LEAD_MS
 from annulus.link.client import Client
 from annulus.link.hardware import hardware_fields
 from annulus.link.messages import (
@@ -371,7 +371,8 @@ def move_turntable(client: Client, port: str, position: int, step_us: float, *, 
     if before.turntable == position and hold:
         return
     client.request(Move(position, round(step_us * TICKS_PER_US), int(hold)))
-    patience_s = abs(position - before.turntable) * step_us * 1e-6 + TRAIN_SLACK_S
+    steps_s = abs(position - before.turntable) * step_us * 1e-6
+    patience_s = 1e-3 * TURNTABLE_LEAD_MS + steps_s + TRAIN_SLACK_S
     done = _wait_for(TurntableDone, client, port, patience_s, lambda: is_moving(client))
     if done.position != position:
         raise AnnulusError(f"{port}: the turntable stopped at step {done.position}, expected {position}")

@@ -3,7 +3,7 @@
 import struct
 from dataclasses import dataclass
 
-from annulus.controller import PIN_STEP, TICK_HZ
+from annulus.controller import PIN_STEP, TICK_HZ, TURNTABLE_LEAD_MS
 from annulus.link.client import Client
 from annulus.link.messages import (
     Arm,
@@ -142,7 +142,7 @@ class Scope:
 
     def run_steps(self, count: int, period: int) -> None:
         self.steps(count, period)
-        self.stand(count * period / TICK_HZ + PATIENCE_S)
+        self.stand(1e-3 * TURNTABLE_LEAD_MS + count * period / TICK_HZ + PATIENCE_S)
 
     def listen(self, seconds: float) -> None:
         """Take in events, and keep the controller from thinking we had gone."""

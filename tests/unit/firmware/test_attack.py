@@ -16,7 +16,7 @@ MUTANTS = {
     "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
     "a forgotten interlock": (
         "core/safety.c",
-        "if (tripped && (live || self->turntable.hold)) {",
+        "if (tripped && (live || self->turntable.powered)) {",
         "    if (tripped && (self->armed == 0U)) {",
     ),
     "an edge from the future": (
@@ -49,20 +49,26 @@ MUTANTS = {
     ),
     "a ramp twice as steep": ("core/turntable.c", "#define SQUARE_A_STEP 32U", "#define SQUARE_A_STEP 64U"),
     "a power that stays on": ("native/turntable.c", "pinuse_drive(PIN_ENABLE, 1);", ""),
+    "a step to a driver that sleeps": ("core/turntable.c", "(self->awake || (left <= 0))", "(left != 0)"),
+    "a rotor let go": ("core/turntable.c", "self->swings = true;", "self->swings = false;"),
+    "a power that never goes": ("core/turntable.c", "!self->hold && !self->swings)", "self->moving)"),
 }
 SOON = {  # a seed whose scenes find it within a second or two; 3 finds each within 20 000 edges, in up to 30 s
     "the other lamp's delay": 10,
-    "a forgotten interlock": 8,
+    "a forgotten interlock": 1,
     "an edge from the future": 17,
     "a count lost without a word": 12,
     "a count lost and not said": 12,
     "a burst too many": 10,
     "a host timeout that never comes": 10,
-    "a turntable that no silence ends": 13,
+    "a turntable that no silence ends": 31,
     "a turntable past its switch": 18,
     "a turntable past its limits": 3,
     "a ramp twice as steep": 3,
     "a power that stays on": 13,
+    "a step to a driver that sleeps": 13,
+    "a rotor let go": 13,
+    "a power that never goes": 13,
 }
 
 
