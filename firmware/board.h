@@ -112,8 +112,10 @@ void board_update_read(uint32_t offset, uint8_t* bytes, uint32_t size);
 // Does this entry point lie in the room an application has when it runs?
 bool board_update_starts_at(uint32_t entry);
 
-// What was kept is whole, with this CRC: it runs from the next reset on, for a trial.
-void board_update_commit(uint32_t crc);
+// What was kept is whole, with this CRC, but for its head, the chunk at BOARD_UPDATE_HEAD_AT, which comes now: it runs
+// from the next reset on, for a trial.
+#define BOARD_UPDATE_HEAD_AT 192U
+void board_update_commit(uint32_t crc, const uint8_t* head);
 
 // ---- lines to hosts ----
 

@@ -55,13 +55,15 @@ static bool is_pulse_forbidden(const board_burst_t* const burst)
 {
     uint32_t run_ticks = 0;
     bool forbidden = false;
-    for (uint16_t i = 0; i <= burst->length; i++) {
-        if (board_chip(burst, i)) {
-            run_ticks += burst->chip_ticks;
-        } else {
-            forbidden |= (run_ticks > 0U) &&
-                         ((run_ticks < MICROWAVE_PULSE_MIN_TICKS) || (run_ticks > MICROWAVE_PULSE_MAX_TICKS));
-            run_ticks = 0;
+    for (uint32_t i = 0; i <= sizeof burst->chips; i++) {  // and eight that are off
+        uint32_t chips = board_chips(burst, i);
+        for (uint32_t bit = 0; bit < 8U; bit++, chips >>= 1) {
+            if ((chips & 1U) != 0U) {
+                run_ticks += burst->chip_ticks;
+            } else if (run_ticks > 0U) {
+                forbidden |= (run_ticks < MICROWAVE_PULSE_MIN_TICKS) || (run_ticks > MICROWAVE_PULSE_MAX_TICKS);
+                run_ticks = 0;
+            }
         }
     }
     return forbidden;

@@ -77,8 +77,11 @@ uint8_t safety_interlock(controller_t* const self, const uint8_t inputs)
     if ((self->armed != 0U) || self->turntable.moving) {
         return STATUS_BAD_STATE;
     }
-    board_interlock_watch((inputs & INTERLOCK_ANTIVALENT) != 0U);
-    self->interlock = (safety_interlock_t){.disagrees = false};
+    const bool antivalent = (inputs & INTERLOCK_ANTIVALENT) != 0U;
+    if (antivalent != ((board_interlock() & INTERLOCK_ANTIVALENT) != 0U)) {  // said again, it forgets nothing
+        board_interlock_watch(antivalent);
+        self->interlock = (safety_interlock_t){.disagrees = false};
+    }
     return STATUS_OK;
 }
 
@@ -93,7 +96,8 @@ void safety_run(controller_t* const self, const uint32_t now)
     const bool starved = board_microwave_starved();  // first: an interlock that opens in between is the cause of both
     const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was live
     const bool live = (self->armed != 0U) || self->turntable.moving;
-    if (tripped && (live || self->turntable.powered)) {
+    const bool open = self->turntable.powered && board_interlock_open();  // also where nobody saw it open
+    if (open || (tripped && (live || self->turntable.powered))) {
         safety_trip(self, FAULT_INTERLOCK, 0U);
     }
     watch_interlock(self, now);
@@ -139,6 +143,7 @@ uint8_t safety_clear(controller_t* const self)
         return STATUS_UNSAFE;
     }
     self->interlock.distrusted = false;
+    self->interlock.disagrees = false;  // what disagrees from now on does so from now on
     self->fault = FAULT_NONE;
     return STATUS_OK;
 }

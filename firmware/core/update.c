@@ -3,10 +3,14 @@
 
 #include "update.h"
 
+#include <string.h>
+
 #include "../application.h"
 #include "../board.h"
 #include "../ticks.h"
 #include "messages.h"
+
+_Static_assert(BOARD_UPDATE_HEAD_AT == APPLICATION_SIZE_AT, "the head begins with the size");
 
 // What was written last is read back: the CRC is that of the flash, not of the line. The last word of the application
 // is no part of it.
@@ -14,7 +18,11 @@ static void read_back(update_t* const self)
 {
     if (self->read < self->next) {
         uint8_t kept[UPDATE_CHUNK_BYTES];
-        board_update_read(self->read, kept, sizeof kept);
+        if (self->read == BOARD_UPDATE_HEAD_AT) {
+            memcpy(kept, self->head, sizeof kept);
+        } else {
+            board_update_read(self->read, kept, sizeof kept);
+        }
         const uint32_t left = (self->size - 4U > self->read) ? self->size - 4U - self->read : 0U;
         self->sum = crc32_add(self->sum, kept, (left < sizeof kept) ? left : sizeof kept);
         self->read += UPDATE_CHUNK_BYTES;
@@ -53,7 +61,11 @@ bool update_take(update_t* const self, const uint32_t offset, const uint8_t* con
         return false;
     }
     if ((offset == self->next) && (self->next < self->size)) {
-        board_update_write(offset, chunk);
+        if (offset == BOARD_UPDATE_HEAD_AT) {
+            memcpy(self->head, chunk, sizeof self->head);
+        } else {
+            board_update_write(offset, chunk);
+        }
         self->next += UPDATE_CHUNK_BYTES;
     }
     return true;
@@ -88,10 +100,9 @@ bool update_finish(update_t* const self, uint8_t* const refusal)
     }
     read_back(self);
     uint8_t vectors[8];
-    uint8_t head[UPDATE_CHUNK_BYTES];  // size and name
     uint8_t last[4];
     board_update_read(0U, vectors, sizeof vectors);
-    board_update_read(APPLICATION_SIZE_AT, head, sizeof head);
+    const uint8_t* const head = self->head;
     board_update_read(self->size - 4U, last, sizeof last);
     const bool whole = application_fits(self->size, UPDATE_MAX_BYTES) && (application_word(head) == self->size) &&
                        (application_word(head + APPLICATION_NAME_AT - APPLICATION_SIZE_AT) == APPLICATION_NAME_START) &&
@@ -102,7 +113,7 @@ bool update_finish(update_t* const self, uint8_t* const refusal)
         self->under_way = false;
         return false;
     }
-    board_update_commit(self->crc);
+    board_update_commit(self->crc, head);
     return true;
 }
 

@@ -6,6 +6,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "messages.h"
+
 typedef struct {
     bool under_way;  // nothing can be armed or moved meanwhile
     uint32_t size;   // of what is coming, or broke off
@@ -14,6 +16,8 @@ typedef struct {
     uint32_t read;   // so much of it was read back from the flash
     uint32_t sum;    // CRC-32 of that, not yet ended
     uint32_t heard;  // tick of the last chunk
+    uint8_t
+        head[UPDATE_CHUNK_BYTES];  // size and name: written last, so that nothing refused or broken off is ever whole
 } update_t;
 
 // Begin, or go on where the same one broke off.

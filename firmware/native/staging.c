@@ -36,7 +36,8 @@ bool board_update_starts_at(const uint32_t entry)
     return entry != 0U;
 }
 
-void board_update_commit(const uint32_t crc)
+void board_update_commit(const uint32_t crc, const uint8_t* const head)
 {
     (void)crc;
+    memcpy(staged + BOARD_UPDATE_HEAD_AT, head, UPDATE_CHUNK_BYTES);
 }

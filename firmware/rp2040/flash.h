@@ -23,8 +23,8 @@
 #define PAGE_BYTES 256U
 
 // Which application starts, and whether it has shown what it can: a page of its own for each update, page after page,
-// sector after sector. The newest whole one counts; without any it is slot 0. The last two words are programmed later:
-// bits are only ever cleared.
+// sector after sector. The newest whole one counts; without any it is slot 0. The last three words are programmed
+// later: bits are only ever cleared.
 typedef struct {
     uint32_t magic;
     uint32_t sequence;   // the highest is the newest
@@ -33,7 +33,7 @@ typedef struct {
     uint32_t check;      // CRC-32 of the four words before: a page half programmed is no record
     uint32_t starts;     // byte k is cleared before its start number k that is not yet confirmed
     uint32_t confirmed;  // cleared by the application, once a host understood it
-    uint32_t spare;
+    uint32_t last;       // as `starts`, of those after it was given up and there was no other
 } record_t;
 
 #define RECORD_MAGIC 0x32445055U  // "UPD2"

@@ -76,7 +76,7 @@ IN_RAM static uint32_t find_record(record_t* const newest)
         read(page_at(page), (uint32_t*)&record, sizeof record);
         const bool whole = (record.magic == RECORD_MAGIC) && (record.slot < 2U) &&
                            (record.check == crc_of(&record, RECORD_CHECKED_BYTES));
-        if (whole && ((found == RECORD_PAGES) || (record.sequence > newest->sequence))) {
+        if (whole && ((found == RECORD_PAGES) || ((int32_t)(record.sequence - newest->sequence) > 0))) {
             *newest = record;
             found = page;
         }
@@ -84,16 +84,17 @@ IN_RAM static uint32_t find_record(record_t* const newest)
     return found;
 }
 
-// Which unconfirmed start is this? TRIAL_STARTS + 1: one too many, also where the flash does not keep what is counted.
-IN_RAM static uint32_t count_start(const record_t* const record, const uint32_t page)
+// Which start is this, by a word of the newest record (`counted`) that lies `offset` bytes into it? TRIAL_STARTS + 1:
+// one too many, also where the flash does not keep what is counted.
+IN_RAM static uint32_t count_start(const uint32_t counted, const uint32_t page, const uint32_t offset)
 {
     uint32_t start = 1U;
-    while ((start <= TRIAL_STARTS) && (((record->starts >> (8U * (start - 1U))) & 0xFFU) != 0xFFU)) {
+    while ((start <= TRIAL_STARTS) && (((counted >> (8U * (start - 1U))) & 0xFFU) != 0xFFU)) {
         start++;
     }
     if (start <= TRIAL_STARTS) {
         const uint32_t used = RECORD_UNTOUCHED << (8U * start);
-        const uint32_t word = page_at(page) + (uint32_t)offsetof(record_t, starts);
+        const uint32_t word = page_at(page) + offset;
         flash_program(word, &used, 1U);
         for (uint32_t looks = 0; flash_is_busy() && (looks < PROGRAM_LOOKS); looks++) {
         }
@@ -104,21 +105,32 @@ IN_RAM static uint32_t count_start(const record_t* const record, const uint32_t 
     return start;
 }
 
+IN_RAM static bool is_for_this_board(const uint8_t* const name)
+{
+    static const char ours[] = "annulus " BOARD_NAME " ";
+    bool same = true;
+    for (uint32_t i = 0; i < sizeof ours - 1U; i++) {
+        same = same && (name[i] == (uint8_t)ours[i]);
+    }
+    return same;
+}
+
 // Is there a whole application in this slot, and in RAM now? With this CRC, unless any will do.
 IN_RAM static bool load(const uint32_t slot, const bool any, const uint32_t crc)
 {
     const uint32_t at = SLOT_AT(slot);
-    uint32_t head[2];
+    uint32_t head[5];  // size, and sixteen letters of the name
     read(at + APPLICATION_SIZE_AT, head, sizeof head);
     const uint32_t size = head[0];
-    if (!application_fits(size, SLOT_BYTES) || (head[1] != APPLICATION_NAME_START)) {
+    if (!application_fits(size, SLOT_BYTES) || !is_for_this_board((const uint8_t*)&head[1])) {
         return false;
     }
     watchdog_kick();
     read(at, application_start, size);
     watchdog_kick();
     const uint32_t kept = application_start[size / 4U - 1U];
-    return (crc_of(application_start, size - 4U) == kept) && (any || (crc == kept));
+    const uint32_t entry = application_start[1] - (uint32_t)(uintptr_t)application_start;
+    return (crc_of(application_start, size - 4U) == kept) && (any || (crc == kept)) && (entry < size);
 }
 
 IN_RAM __attribute__((noreturn)) static void start(const uint32_t handover)
@@ -137,7 +149,8 @@ IN_RAM __attribute__((noreturn)) void loader_run(void)
     record_t record;
     const uint32_t page = find_record(&record);
     if (page < RECORD_PAGES) {
-        const uint32_t starts = (record.confirmed == 0U) ? 0U : count_start(&record, page);
+        const uint32_t starts =
+            (record.confirmed == 0U) ? 0U : count_start(record.starts, page, (uint32_t)offsetof(record_t, starts));
         if ((starts <= TRIAL_STARTS) && load(record.slot, false, record.crc)) {
             start(HANDOVER(record.slot, starts, IMAGE_WHY_RECORDED, page));
         }
@@ -145,13 +158,13 @@ IN_RAM __attribute__((noreturn)) void loader_run(void)
             const uint32_t why = (starts > TRIAL_STARTS) ? IMAGE_WHY_GIVEN_UP : IMAGE_WHY_DAMAGED;
             start(HANDOVER(1U - record.slot, 0U, why, page));
         }
-        if (load(record.slot, false, record.crc)) {  // given up, but there is no other
+        // Given up, but there is no other: three more, and then the ROM, which answers at least over USB.
+        const bool last = count_start(record.last, page, (uint32_t)offsetof(record_t, last)) <= TRIAL_STARTS;
+        if (last && load(record.slot, false, record.crc)) {
             start(HANDOVER(record.slot, TRIAL_STARTS, IMAGE_WHY_RECORDED, page));
         }
-    } else if (load(0U, true, 0U)) {
+    } else if (load(0U, true, 0U)) {  // as USB left it; what is in the other slot is older than that
         start(HANDOVER(0U, 0U, IMAGE_WHY_RECORDED, page));
-    } else if (load(1U, true, 0U)) {
-        start(HANDOVER(1U, 0U, IMAGE_WHY_DAMAGED, page));
     }
     CLEAR_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
     rom_usb_boot(0U);

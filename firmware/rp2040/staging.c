@@ -23,6 +23,8 @@ static struct {
     uint32_t at;
     uint32_t words[FLASH_PROGRAM_MAX / 4U];
     bool confirms;  // once the flash is free
+    bool commits;   // the same
+    uint32_t crc;   // of what it commits
 } staging;
 
 static uint32_t page_at(const uint32_t page)
@@ -49,18 +51,57 @@ static void schedule(const uint32_t at, const void* const bytes, const uint32_t 
     staging.programs = true;
 }
 
+// A page that is no record and yet not blank was left half programmed: it is passed over. The first of a sector erases
+// that sector, whose records are the oldest; the newest is in the other one.
+static void write_record(const uint32_t crc)
+{
+    record_t record = {.sequence = 0};
+    uint32_t page = image_record();
+    if (page < RECORD_PAGES) {
+        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
+    } else {
+        page = RECORD_PAGES - 1U;  // the first one goes to page 0
+    }
+    const uint32_t sequence = record.sequence + 1U;
+    bool blank;
+    do {
+        page = (page + 1U) % RECORD_PAGES;
+        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
+        blank = true;
+        for (uint32_t i = 0; i < sizeof record / 4U; i++) {
+            blank = blank && (((const uint32_t*)&record)[i] == RECORD_UNTOUCHED);
+        }
+    } while (!blank && (page % (SECTOR_BYTES / PAGE_BYTES) != 0U));
+    if (!blank) {
+        flash_erase(page_at(page));
+        begins();
+    }
+    record = (record_t){.magic = RECORD_MAGIC,
+                        .sequence = sequence,
+                        .slot = 1U - image_slot(),
+                        .crc = crc,
+                        .starts = RECORD_UNTOUCHED,
+                        .confirmed = RECORD_UNTOUCHED,
+                        .last = RECORD_UNTOUCHED};
+    record.check = crc32_of((const uint8_t*)&record, RECORD_CHECKED_BYTES);
+    schedule(page_at(page), &record, sizeof record);
+}
+
 bool board_update_run(void)
 {
     if (staging.works && (ticks_since(board_tick(), staging.since) < FLASH_TICKS_MAX) && flash_is_busy()) {
         return true;
     }
     staging.works = false;
-    if (!staging.programs && staging.confirms) {
+    if (!staging.programs && staging.commits) {
+        staging.commits = false;
+        write_record(staging.crc);
+    } else if (!staging.programs && staging.confirms) {
         staging.confirms = false;
         const uint32_t clear = 0;
         schedule(page_at(image_record()) + (uint32_t)offsetof(record_t, confirmed), &clear, sizeof clear);
     }
-    if (staging.programs) {
+    if (staging.programs && !staging.works) {
         staging.programs = false;
         flash_program(staging.at, staging.words, FLASH_PROGRAM_MAX / 4U);
         begins();
@@ -70,7 +111,7 @@ bool board_update_run(void)
 
 bool staging_is_idle(void)
 {
-    return !staging.works && !staging.programs;
+    return !staging.works && !staging.programs && !staging.commits;
 }
 
 void board_image_confirm(void)
@@ -100,38 +141,10 @@ bool board_update_starts_at(const uint32_t entry)
     return ((entry & 1U) != 0U) && (entry - (uint32_t)(uintptr_t)image_start < UPDATE_MAX_BYTES);
 }
 
-// A page that is no record and yet not blank was left half programmed: it is passed over. The first of a sector erases
-// that sector, whose records are the oldest; the newest is in the other one.
-void board_update_commit(const uint32_t crc)
+// Its head goes last, and then the record: what was not committed is never whole.
+void board_update_commit(const uint32_t crc, const uint8_t* const head)
 {
-    record_t record = {.sequence = 0};
-    uint32_t page = image_record();
-    if (page < RECORD_PAGES) {
-        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
-    } else {
-        page = RECORD_PAGES - 1U;  // the first one goes to page 0
-    }
-    const uint32_t sequence = record.sequence + 1U;
-    bool blank;
-    do {
-        page = (page + 1U) % RECORD_PAGES;
-        flash_read(page_at(page), (uint32_t*)&record, sizeof record / 4U);
-        blank = true;
-        for (uint32_t i = 0; i < sizeof record / 4U; i++) {
-            blank = blank && (((const uint32_t*)&record)[i] == RECORD_UNTOUCHED);
-        }
-    } while (!blank && (page % (SECTOR_BYTES / PAGE_BYTES) != 0U));
-    if (!blank) {
-        flash_erase(page_at(page));
-        begins();
-    }
-    record = (record_t){.magic = RECORD_MAGIC,
-                        .sequence = sequence,
-                        .slot = 1U - image_slot(),
-                        .crc = crc,
-                        .starts = RECORD_UNTOUCHED,
-                        .confirmed = RECORD_UNTOUCHED,
-                        .spare = RECORD_UNTOUCHED};
-    record.check = crc32_of((const uint8_t*)&record, RECORD_CHECKED_BYTES);
-    schedule(page_at(page), &record, sizeof record);
+    schedule(slot_beside() + BOARD_UPDATE_HEAD_AT, head, UPDATE_CHUNK_BYTES);
+    staging.crc = crc;
+    staging.commits = true;
 }

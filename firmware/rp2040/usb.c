@@ -467,5 +467,9 @@ void usb_start(void)
     usb_place_packets(DATA_IN, DATA_IN);
     usb_place_packets(DATA_OUT, DATA_OUT);
     REGISTER(USB_INTE) = USB_INT_ALL;
-    SET_BITS(USB_SIE_CTRL) = SIE_PULL_UP;  // here we are
+    interrupts_off();  // a plug that was pulled meanwhile let go of D+ already
+    if (variant_vbus()) {
+        SET_BITS(USB_SIE_CTRL) = SIE_PULL_UP;  // here we are
+    }
+    interrupts_on();
 }

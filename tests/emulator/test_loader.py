@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, MS, EmulatedBoard, arm
 from updating import (
-    GATE,
     PAGE,
     RECORD_PAGES,
     RECORDS_AT,
@@ -21,6 +20,7 @@ from updating import (
     pend,
     put,
     record,
+    sealed,
     stage,
     until_it_answers,
     who,
@@ -37,6 +37,7 @@ from annulus.link.messages import (
     ImageWhy,
     Info,
     StatusCode,
+    UpdateRefusal,
 )
 
 # ---- on trial, and back ----
@@ -66,7 +67,33 @@ def test_one_that_no_host_understands_is_given_up_after_three_starts(
     assert who(board) == ours
 
 
-@pytest.mark.deep(gate=GATE)
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
+def test_what_was_refused_or_broken_off_is_never_started_either(
+    board: EmulatedBoard, image: Path, new: Application
+) -> None:
+    """A whole image for another board had been refused and lay there whole: one flipped bit in the other started it."""
+    data = bytearray(new.data)
+    data[196 : 196 + 14] = b"annulus rp2350"
+    stage(board, sealed(data, new))
+    assert end(board) == (StatusCode.BAD_STATE, UpdateRefusal.FOREIGN)
+    whole = application(read_image(image)).data
+    record(board, 0, 0, application(read_image(image)).crc, confirmed=True)
+    board.spoil_flash(SLOTS[0] + 7_000, bytes([whole[7_000] ^ 1]))
+    board.power_cycle()
+    board.run(board.now + BOOTED)
+    assert board.bootloader is not None
+
+
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
+def test_the_last_one_that_hangs_ends_in_the_boot_rom(board: EmulatedBoard, new: Application) -> None:
+    """Given up, and the other one rots later: it was started for ever."""
+    pend(board, hung(new))
+    board.spoil_flash(SLOTS[0] + 7_000, b"\x00\x00\x00\x00\x00\x00")
+    board.run(board.now + 4_500 * MS)
+    assert board.bootloader is not None
+
+
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
 def test_a_host_of_another_schema_confirms_nothing(board: EmulatedBoard, new: Application) -> None:
     pend(board, new)
     board.run(board.now + STARTING)
@@ -76,7 +103,7 @@ def test_a_host_of_another_schema_confirms_nothing(board: EmulatedBoard, new: Ap
     assert image_of(board).starts == 0
 
 
-@pytest.mark.deep(gate=GATE)
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
 def test_records_go_round_their_sectors(board: EmulatedBoard, pair: list[tuple[str, Application]]) -> None:
     """From the last page but one on, past one left half programmed: over the end, into a sector of old ones."""
     for page in range(RECORD_PAGES - 2):
@@ -104,6 +131,7 @@ def test_one_with_a_flipped_bit_is_never_started(
     rng = random.Random(part)
     whole = application(read_image(image)).data
     put(board, 1, new.data)
+    record(board, 0, 0, application(read_image(image)).crc, confirmed=True)
     for _ in range(5):
         at, bit = rng.randrange(len(whole)), 1 << rng.randrange(8)
         board.spoil_flash(SLOTS[0] + at, bytes([whole[at] ^ bit]))
@@ -168,7 +196,7 @@ def test_code_that_changes_in_ram_goes_dark_and_starts_anew(board: EmulatedBoard
 # ---- USB, and time ----
 
 
-@pytest.mark.deep(gate=GATE)
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
 def test_a_staged_one_that_rots_before_it_starts_is_not_started(
     board: EmulatedBoard, new: Application, ours: str
 ) -> None:
@@ -191,7 +219,7 @@ def test_without_a_whole_application_the_board_waits_on_usb(board: EmulatedBoard
     assert until_it_answers(board) == ours
 
 
-@pytest.mark.deep(gate=GATE)
+@pytest.mark.deep(gate="tests/emulator/test_loader.py::test_one_that_hangs_is_given_up_by_itself")
 @pytest.mark.parametrize(("after_ms", "same"), [(0, False), (3, False), (20, True), (90, False)])
 def test_what_was_flashed_over_usb_starts_whatever_update_was_pending(
     board: EmulatedBoard, image: Path, third: Path, new: Application, ours: str, after_ms: int, same: bool

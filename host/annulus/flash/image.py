@@ -110,6 +110,7 @@ def parse_image(content: bytes, name: str) -> Image:
     image = Image(name, data, _identity(data), chip)
     if has_application(image):  # a debugger's ELF leaves the records out
         image = replace(image, data=data.ljust(RECORDS_END, b"\xff"))
+        application(image)  # over USB as well: nobody should have to find it in the boot ROM
     holes = len(data) // PAGE_BYTES - len(pages)
     if holes and image.identity is not None and content[:4] != b"\x7fELF":  # what a linker leaves out, uf2.py fills in
         raise AnnulusError(f"{name}: damaged, {holes} pages between others are missing: a block has another's address")

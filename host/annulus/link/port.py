@@ -193,7 +193,10 @@ class _Socket(protocol_socket.Serial):  # type: ignore[misc]
     _claim: socket.socket | None = None
 
     def open(self) -> None:
-        host, port = self.from_url(self.portstr)
+        try:
+            host, port = self.from_url(self.portstr)
+        except (TypeError, KeyError) as error:  # pyserial's own, for a URL without a host or with a port of no use
+            raise ValueError(f"expected socket://HOST:PORT ({error})") from None
         address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][4]
         self._claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:

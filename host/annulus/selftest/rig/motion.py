@@ -15,6 +15,8 @@ from annulus.controller import (
     PIN_STEP,
     PIN_SYNC,
     TICK_HZ,
+    TURNTABLE_LAG_MS,
+    TURNTABLE_LEAD_MS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
 from annulus.link.messages import (
@@ -45,6 +47,7 @@ UNDER_WAY = 3  # steps that are made after it was decided that none shall begin
 MET = 2  # ticks by which a period may differ
 ROUND = 600 * US  # of the main loop, at most, beside commands; README
 FAST, START, STEEP = 12_000, 200_000, 40_000  # 8333 steps/s from 500 steps/s at 40000 steps/s^2: 866 steps of ramp
+LEAD, LAG = TURNTABLE_LEAD_MS * MS, TURNTABLE_LAG_MS * MS
 STAMP = 20 * US  # DIRECTION and ENABLE are stamped by an interrupt of the rig
 NO_SWITCH = TurntableFlag(0)
 GRAY = ((1, 1), (0, 1), (0, 0), (1, 0))  # A falls first: up, from both high
@@ -82,14 +85,17 @@ def levels(played: Played, pin: int) -> list[tuple[float, int]]:
 def the_turntable_makes_its_steps_and_lets_go(board: Board) -> str:
     at = status(board).turntable
     move = Move(position=at + 25, period=20_000, hold=0)
-    played = board.play(Scene(until=MS, watch=(PIN_STEP,), orders=[(MS // 2, move)], after=10 * MS))
+    played = board.play(Scene(until=MS, watch=(PIN_STEP,), orders=[(MS // 2, move)], after=10 * MS + LEAD + LAG))
     rises = played.rises(PIN_STEP)
     seen = f"{len(rises)} steps, period {span(gaps(played))}"
     expect(stands(played) == at + 25 and len(rises) == 25, seen)
     expect(all(abs(gap - 20_000) <= MET + board.slack(20_000) for gap in gaps(played)), seen)
     enable = levels(played, PIN_ENABLE)
     expect([level for _, level in enable] == [0, 1], f"{seen}, ENABLE {[level for _, level in enable]}")
-    expect(enable[0][0] < rises[0] + STAMP and enable[1][0] > rises[-1], f"{seen}, ENABLE at another time")
+    (on, _), (off, _) = enable
+    lead, lag = rises[0] - on, off - rises[-1]
+    seen += f", ENABLE {lead / MS:.2f} ms before and {lag / MS:.2f} ms after"
+    expect(lead > LEAD - STAMP and lag > LAG - STAMP, seen)
     return seen
 
 

@@ -19,6 +19,8 @@ from annulus.controller import (
     PIN_STEP,
     PIN_SYNC,
     PIN_TRIGGER,
+    TURNTABLE_LAG_MS,
+    TURNTABLE_LEAD_MS,
 )
 from annulus.link.messages import (
     Arm,
@@ -150,8 +152,10 @@ def _gate(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
 def _stage(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
     ok(board, Turntable(-400_000_000, 400_000_000, 0, 0, TurntableFlag(0)))
     at = _status(board).turntable
-    orders = [(MS // 2, Move(at - 1, 20_000, 0)), (5 * MS, Move(at - 1 + STEPS, 20_000, 0))]
-    played = board.play(Scene(until=5 * MS, orders=orders, after=10 * MS))
+    powered = (TURNTABLE_LEAD_MS + TURNTABLE_LAG_MS) * MS  # of a move, beside its steps: ENABLE goes twice
+    second = 5 * MS + powered
+    orders = [(MS // 2, Move(at - 1, 20_000, 0)), (second, Move(at - 1 + STEPS, 20_000, 0))]
+    played = board.play(Scene(until=second, orders=orders, after=10 * MS + powered))
     rises = {pin: len(played.rises(pin)) for pin in OUTPUTS}
     _found(board, PIN_STEP, {p for p, n in rises.items() if n == STEPS + 1}, set(), missing, wrong)
     moved = _moved(played)
