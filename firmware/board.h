@@ -171,7 +171,8 @@ typedef struct {
 // nothing loaded an edge is still stamped, nothing fires, and the last hold-off stays in force. False: refused, because
 // the width is over the compiled-in limit, or the flash outlasts its own hold-off or takes more than the duty's share
 // of it; then nothing is loaded. Where the lamp would still owe dark time at the next edge, as after a reset, or the
-// board cannot be sure of the hold-off, it loads nothing lit either, and says true: the edge then finds none.
+// board cannot be sure of the hold-off, it loads nothing lit either, and says true: the edge then finds none, and takes
+// the hold-off.
 bool board_flash_load(const board_flash_t* flash);
 
 // Once a round, before the edges: find out what they took, and follow the odometer.

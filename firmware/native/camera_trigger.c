@@ -43,6 +43,7 @@ void board_camera_trigger(const uint32_t period_ticks, const uint32_t width_tick
         return;
     }
     pinuse_drive(PIN_CAMERA_TRIGGER, 0);
+    lamps_follow();
     camera.period = period_ticks;
     camera.width = width_ticks;
     camera.next = world.now;

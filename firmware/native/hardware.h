@@ -72,6 +72,7 @@ uint64_t lines_time(void);
 void lines_step(void);
 
 void lamps_start(void);
+void lamps_follow(void);
 void lamps_edge(void);
 uint64_t lamps_time(void);
 void lamps_step(void);

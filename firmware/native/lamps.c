@@ -38,6 +38,12 @@ void lamps_start(void)
     lamps.duty[1] = owed;
 }
 
+// Edges come from another pin from now on: a hold-off under way was that of the one before.
+void lamps_follow(void)
+{
+    lamps.refuse_until = world.now;
+}
+
 void lamps_edge(void)
 {
     const bool is_full = lamps.edge_count == EDGES_KEPT;
@@ -110,6 +116,7 @@ bool board_flash_load(const board_flash_t* const flash)
         return false;
     }
     if ((flash->lamp != LAMP_DARK) && would_owe(flash)) {
+        lamps.holdoff = flash->holdoff_ticks;  // the next edge, which finds nothing, takes it all the same
         return true;
     }
     lamps.loaded = *flash;

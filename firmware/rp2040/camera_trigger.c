@@ -66,7 +66,7 @@ void board_camera_trigger(const uint32_t period_ticks, const uint32_t width_tick
         return;
     }
     if (running.width != 0U) {
-        lamps_follow(PIN_SYNC);
+        lamps_follow(PIN_SYNC, 0U);
         stop();
     }
     if (width_ticks == 0U) {
@@ -85,7 +85,7 @@ void board_camera_trigger(const uint32_t period_ticks, const uint32_t width_tick
     give(words[2]);
     execute(MOV_PINS_OSR);
     execute(JMP(LAMP_DELAY));
-    lamps_follow(PIN_CAMERA_TRIGGER);
+    lamps_follow(PIN_CAMERA_TRIGGER, period_ticks);
     feed();
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(CAMERA_MACHINE);
 }

@@ -70,7 +70,7 @@ bool pinuse_hurries(void);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
-void pinuse_count_sync(bool counts);  // or edges of the sync input are nobody's
+void pinuse_count_sync(bool counts, uint32_t before);  // on from `before`; or edges of the sync input are nobody's
 
 // The odometer: its machine of PIO1, and transitions as its DMA counts them. `odometer_decode`: the place there.
 // It hands all that and its ring to whoever measures, standing still until it is started again.
@@ -168,7 +168,7 @@ enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2, CAMERA_MACHINE = 3 
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
 // The pin whose falling edges are the sync edges from now on; it must stand high. No flash is loaded afterwards.
-void lamps_follow(uint32_t pin);
+void lamps_follow(uint32_t pin, uint32_t period_ticks);
 
 // Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };

@@ -80,7 +80,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 #define EDGES_KEPT 128U  // a stall of 100 ms at the shortest hold-off; then the watchdog bites
 #define EDGE_RING_BITS 9U
 
-static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));  // SYNC's Y, by DMA
+static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));  // SYNC's Y, by DMA; then its tick
 static volatile uint32_t at_edge[EDGES_KEPT]
     __attribute__((aligned(512)));  // odometer: its count, by DMA; then its place
 static uint8_t tags[EDGES_KEPT];
@@ -97,6 +97,8 @@ static struct {
     uint32_t holdoff;       // SYNC has it, or will take it with the next edge
     uint32_t refuse_until;  // no edge is accepted before; meaningful while a lamp owes
     duty_t duty[2];         // of the projector and the LED
+    bool triggered;         // edges are the ends of a camera's triggers, and none is refused
+    uint32_t refused;       // edges of the sync input, when that last changed
 } lamps;
 
 // ---- edges ----
@@ -137,6 +139,7 @@ static void settle(void)
         }
         lamps.refuse_until = tick + lamps.holdoff;
         tags[index] = tag;
+        stamps[index] = tick;  // from here on: what SYNC counts from may change before it is reported
         at_edge[index] = (uint32_t)odometer_decode(odometer_transitions(at_edge[index]));
         lamps.settled++;
     }
@@ -169,7 +172,7 @@ bool board_edge(board_edge_t* const edge)
         return false;
     }
     const uint32_t index = lamps.reported % EDGES_KEPT;
-    *edge = (board_edge_t){.tick = stamp_tick(lamps.reported), .tag = tags[index], .odometer = (int32_t)at_edge[index]};
+    *edge = (board_edge_t){.tick = stamps[index], .tag = tags[index], .odometer = (int32_t)at_edge[index]};
     lamps.reported++;
     return true;
 }
@@ -177,7 +180,7 @@ bool board_edge(board_edge_t* const edge)
 uint32_t board_edges_refused(void)
 {
     settle();
-    return pinuse_sync_edges(lamps.settled) - lamps.settled;
+    return lamps.triggered ? lamps.refused : pinuse_sync_edges(lamps.settled) - lamps.settled;
 }
 
 int32_t board_odometer(void)
@@ -266,19 +269,54 @@ static void withdraw(void)
     REGISTER(PIO_MEMORY(PIO0, TAKEN)) = program[TAKEN];
 }
 
-// Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
-void lamps_follow(const uint32_t pin)
-{
-    board_lamps_cut();
-    REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(pin) | EXEC_WRAP(HIGH, HIGH + 1U);
-    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS)) = WAIT_PIN_HIGH(pin);
-    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS + 1U)) = WAIT_PIN_LOW(pin);
-    pinuse_count_sync(pin == PIN_SYNC);
-}
-
 static uint32_t holdoff_count(const uint32_t ticks)
 {
     return (ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U;
+}
+
+static void sync_execute(const uint32_t instruction)
+{
+    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = instruction;
+}
+
+// From now on SYNC looks for an edge, and counts its time from here.
+static void sync_from_here(void)
+{
+    sync_execute(MOV_Y_NOT_NULL);
+    sync_execute(FLAG_SET(LOOK));
+    sync_execute(JMP(HIGH));
+    const uint32_t machines = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
+    const uint32_t began = time_of_write(SET_ADDRESS(PIO_CTRL(PIO0)), machines) - STAMP_BEFORE;
+    lamps.start = began - UNCOUNTED_TICKS * lamps.settled;
+}
+
+// Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
+// A hold-off under way was the other pin's, and ends: else a faster clock's first edges would be lost in it. So that
+// the end of the first trigger, which may come before a flash is loaded, does not begin such a one either, it takes
+// half a period: the shortest that a tolerance allows, and shorter than from trigger to trigger.
+void lamps_follow(const uint32_t pin, const uint32_t period_ticks)
+{
+    pinuse_count_sync(false, 0U);  // before what was accepted is settled: else one of these could count as refused, too
+    CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE);
+    board_lamps_cut();
+    CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(LAMP_MACHINE);
+    lamps.refused = board_edges_refused();
+    lamps.refuse_until = board_tick();
+    sync_execute(FLAG_CLEAR(ACCEPTED));
+    sync_execute(MOV_X_OSR);
+    sync_execute(PULL_NO_BLOCK);  // the hold-off that waits for an edge, or X: so that the next one has room
+    if (pin != PIN_SYNC) {
+        lamps.holdoff = period_ticks / 2U;
+        REGISTER(PIO_TX(PIO0, SYNC_MACHINE)) = holdoff_count(lamps.holdoff);
+        sync_execute(PULL_NO_BLOCK);
+    }
+    sync_execute(MOV_X_OSR);
+    REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(pin) | EXEC_WRAP(HIGH, HIGH + 1U);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS)) = WAIT_PIN_HIGH(pin);
+    REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS + 1U)) = WAIT_PIN_LOW(pin);
+    lamps.triggered = pin != PIN_SYNC;
+    pinuse_count_sync(!lamps.triggered, lamps.settled + lamps.refused);
+    sync_from_here();
 }
 
 // SYNC takes it with the next edge. A second change before that edge has no room: the first one holds for that edge.
@@ -371,12 +409,8 @@ void lamps_start(void)
 
     lamps.holdoff = HOLDOFF_AT_RESET_TICKS;
     REGISTER(PIO_TX(PIO0, SYNC_MACHINE)) = holdoff_count(lamps.holdoff);
-    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = PULL_NO_BLOCK;
-    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = MOV_X_OSR;
-    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = MOV_Y_NOT_NULL;
-    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = FLAG_SET(LOOK);
-    REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = JMP(HIGH);
+    sync_execute(PULL_NO_BLOCK);
+    sync_execute(MOV_X_OSR);
     start_rings();
-    const uint32_t machines = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
-    lamps.start = time_of_write(SET_ADDRESS(PIO_CTRL(PIO0)), machines) - STAMP_BEFORE;
+    sync_from_here();
 }

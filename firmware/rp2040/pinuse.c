@@ -138,10 +138,13 @@ uint32_t pinuse_sync_edges(const uint32_t accepted)
     return counted;
 }
 
-void pinuse_count_sync(const bool counts)
+void pinuse_count_sync(const bool counts, const uint32_t before)
 {
     const uint32_t edges = EDGE_HIGH(PIN_INTERLOCK) | (counts ? EDGE_LOW(PIN_SYNC) : 0U);
     REGISTER(IO_INTR0) = EDGE_LOW(PIN_SYNC);
+    if (counts) {
+        sync_edges = before;
+    }
     REGISTER(IO_PROC0_INTE0) = edges;
 }
 

@@ -16,6 +16,7 @@ void board_watchdog_kick(void)
 void outputs_off(void)
 {
     pinuse_darken();
+    SET_BITS(RESETS_RESET) = RESET_DMA;  // first: it feeds the machines, and a block in reset answers nobody
     REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
 }

@@ -3,10 +3,11 @@
 import itertools
 
 import pytest
-from emulated import LATENCY, MS, EmulatedBoard, configuration
+from emulated import BOOTED, LATENCY, MS, EmulatedBoard, configuration
 
 from annulus.controller import PIN_CAMERA_TRIGGER, PIN_LED, PIN_PROJECTOR, PIN_SYNC
 from annulus.link.messages import (
+    RESET_MAGIC,
     Arm,
     ArmFlag,
     CameraTrigger,
@@ -16,6 +17,7 @@ from annulus.link.messages import (
     EdgeFlag,
     Polarity,
     PolarityFlag,
+    Reset,
     Status,
     StatusCode,
     StatusReply,
@@ -111,6 +113,46 @@ def test_the_sync_input_is_nobodys_while_triggers_run_and_counts_again_without_t
     assert len(board.rises(PIN_CAMERA_TRIGGER)) == before
     (last,) = board.heard(Edge)[heard:]
     assert 0 <= board.origin + last.tick - edge <= 1
+
+
+def test_edges_refused_before_there_were_triggers_stay_counted(board: EmulatedBoard) -> None:
+    board.identify()
+    for i in range(4):
+        board.pulse(board.now + MS + 20_000 * i)  # one counts, and three come within its hold-off
+    board.run(board.now + 5 * MS)
+    for generation, width in ((1, WIDTH), (2, 0)):
+        start(board, generation=generation, width=width)
+        board.run(board.now + 10 * MS)
+        status = board.request(Status())
+        assert isinstance(status, StatusReply) and status.rejected == 3, width
+
+
+def test_a_slow_sync_inputs_hold_off_swallows_no_end_of_the_triggers_that_take_its_place(board: EmulatedBoard) -> None:
+    board.identify()
+    start(board, period=4_000_000, width=0)
+    for i in range(2):  # the second one's hold-off is of this configuration, some 40 ms
+        board.pulse(board.now + MS)
+        board.run(board.now + 45 * MS if i == 0 else board.now + 2 * MS)
+    start(board, generation=2, period=8_000_000, width=0)  # and this one's waits for an edge that does not come
+    start(board, generation=3, width=100)
+    board.run(board.now + 20 * MS)
+    status = board.request(Status())
+    assert isinstance(status, StatusReply) and status.rejected == 0
+    ends = [tick for tick in board.falls(PIN_CAMERA_TRIGGER) if tick < board.now - MS]
+    told = [board.origin + edge.tick for edge in board.heard(Edge)][2:]
+    assert [tick - end for tick, end in zip(told, ends, strict=False)] == pytest.approx([0.5] * len(ends), abs=0.5)
+    assert len(told) >= len(ends) > 5
+
+
+def test_a_reset_while_triggers_run_feeds_no_block_that_is_in_reset(board: EmulatedBoard) -> None:
+    """The emulator faults where DMA writes to one."""
+    for phase in range(3):
+        board.identify()
+        start(board)
+        board.run(board.now + 3 * PERIOD + phase * PERIOD // 3)
+        board.request(Reset(magic=RESET_MAGIC))
+        board.run(board.now + BOOTED)
+    assert len(board.resets) == 3
 
 
 def test_a_configuration_of_other_flashes_does_not_touch_the_triggers(board: EmulatedBoard) -> None:
