@@ -1,5 +1,6 @@
 """`python -m tools.attack --board native|emulated --edges N --seed S`: until N edges have fallen or a promise breaks.
 
+--meet plays scenes in which subsystems meet (tools/attack/products.py) in place of those that try one after another.
 --jobs J plays the seeds from S on, J at a time. --scene K plays scene K of seed S alone. --every goes on after a broken
 promise, and lists each kind with the number of edges that found it. --other FILE: another revision's library or image.
 Ends with status 1 when a promise was broken, and says how to see it again.
@@ -13,6 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from annulus.link.messages import PolarityFlag
+from tools.attack import products
 from tools.attack.boards import MS, Board, BrokenPromiseError, Emulated, Native
 from tools.attack.play import Player
 from tools.attack.scenes import draw
@@ -43,22 +46,31 @@ def open_board(board: str, seed: int, other: Path | None) -> Board:
 
 
 def attack(
-    board: str, seed: int, edges: int, other: Path | None = None, every: bool = False, only: int | None = None
+    board: str,
+    seed: int,
+    edges: int,
+    other: Path | None = None,
+    every: bool = False,
+    only: int | None = None,
+    meet: bool = False,
 ) -> Outcome:
-    """Scenes until enough edges have fallen; after a broken promise the next one begins on a fresh board."""
+    """Scenes until enough edges have fallen; after a broken promise the next one begins on a fresh board. `meet`: those
+    in which subsystems meet.
+    """
     began, outcome = time.monotonic(), Outcome(seed)
     number, kinds, player = only or 0, set[str](), None
     while outcome.edges < edges and (not outcome.broken or every) and (only is None or number == only):
-        scene = draw(seed, number, board)
+        scene = products.draw(seed, number, board) if meet else draw(seed, number, board)
         try:
             if player is None:
-                player = Player(open_board(board, seed, other))
+                inverted = products.wiring(seed, number) if meet else PolarityFlag(0)
+                player = Player(open_board(board, seed, other), inverted)
                 truth = Truth(player)
             player.play(scene)
             found = truth.judge(scene)
         except BrokenPromiseError as error:
             found = [str(error)]
-        outcome.edges += len(scene.falls)
+        outcome.edges += len(player.kept.falls) if player else len(scene.falls)
         new = [what for what in found if kind(what) not in kinds]
         outcome.broken += [(number, outcome.edges, what) for what in new]
         kinds |= {kind(what) for what in new}
@@ -66,8 +78,9 @@ def attack(
         if player is None:
             break
         outcome.longest_us = max(outcome.longest_us, truth.longest / MS * 1000)
-        if found or outcome.edges >= edges or only is not None:
-            outcome.before = outcome.before or list(player.done)
+        another = meet and number % products.SCENES_A_BOARD == 0
+        if found or another or outcome.edges >= edges or only is not None:
+            outcome.before = outcome.before or (list(player.done) if found else [])
             outcome.virtual_s += player.board.now / MS / 1000
             player.board.close()
             player = None
@@ -76,7 +89,7 @@ def attack(
     return outcome
 
 
-def tell(outcome: Outcome, board: str, edges: int, every: bool) -> None:
+def tell(outcome: Outcome, board: str, edges: int, every: bool, meet: bool) -> None:
     longest = f", longest round {outcome.longest_us:.0f} us" if outcome.longest_us else ""
     print(
         f"seed {outcome.seed}: {outcome.edges} edges in {outcome.scenes} scenes, {outcome.virtual_s:.0f} s of the "
@@ -88,9 +101,9 @@ def tell(outcome: Outcome, board: str, edges: int, every: bool) -> None:
     if outcome.broken and not every:
         print(*outcome.before, sep="\n")
         scene = outcome.broken[0][0]
-        alone = attack(board, outcome.seed, edges, only=scene).broken
+        alone = attack(board, outcome.seed, edges, only=scene, meet=meet).broken
         again = f"--seed {outcome.seed} --scene {scene}" if alone else f"--seed {outcome.seed} --edges {edges}"
-        print(f"again: python -m tools.attack --board {board} {again}")
+        print(f"again: python -m tools.attack --board {board} {'--meet ' if meet else ''}{again}")
 
 
 def main(arguments: list[str]) -> int:
@@ -102,13 +115,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--scene", type=int)
     parser.add_argument("--every", action="store_true")
     parser.add_argument("--other", type=Path)
+    parser.add_argument("--meet", action="store_true")
     given = parser.parse_args(arguments)
     share, broken = -(-given.edges // given.jobs), False
     seeds = range(given.seed, given.seed + given.jobs)
-    calls = [(given.board, seed, share, given.other, given.every, given.scene) for seed in seeds]
+    calls = [(given.board, seed, share, given.other, given.every, given.scene, given.meet) for seed in seeds]
     with ProcessPoolExecutor(given.jobs) as pool:
         for outcome in pool.map(attack, *zip(*calls, strict=True)):
-            tell(outcome, given.board, share, given.every)
+            tell(outcome, given.board, share, given.every, given.meet)
             broken |= bool(outcome.broken)
     print("a promise was broken" if broken else "no promise broken")
     return int(broken)

@@ -14,9 +14,11 @@ from annulus.controller import TICKS_PER_US
 from annulus.shipped import IMAGE, shipped
 from annulus.twin.native import NativeBoard
 
-MS = 1000 * TICKS_PER_US
+US = TICKS_PER_US
+MS = 1000 * US
 ROOT = Path(__file__).resolve().parents[2]
 UART, USB = 0, 1
+BOOTED = 30 * MS  # boot ROM, loader, clocks, first event
 Edge = tuple[int, int, int]  # tick, pin, level
 
 
@@ -55,6 +57,8 @@ class Board(Protocol):
     def plug(self, plugged: bool) -> None: ...
     def connected(self) -> bool: ...
     def stall(self, ticks: int) -> None: ...
+    def pull_up(self, pins: list[int]) -> None: ...
+    def erase_takes(self, ticks: int) -> None: ...
     def close(self) -> None: ...
 
 
@@ -105,6 +109,12 @@ class Native:
     def stall(self, ticks: int) -> None:
         self._board.stall_cpu(ticks)
 
+    def pull_up(self, pins: list[int]) -> None:
+        self._board.pull(*((pin, 1) for pin in pins))
+
+    def erase_takes(self, ticks: int) -> None:
+        """It has no flash."""
+
     def close(self) -> None:
         pass
 
@@ -112,7 +122,7 @@ class Native:
 class Emulated:
     """The shipped image on tools/emulator."""
 
-    name, latency, stamp, round_max = "emulated", 9, 1, 2 * MS
+    name, latency, stamp, round_max = "emulated", 9, 1, MS // 2
 
     def __init__(self, image: Path | None = None) -> None:
         command = ["node", str(ROOT / "tools/emulator/emulate.mjs"), str(image or shipped(IMAGE))]
@@ -122,7 +132,7 @@ class Emulated:
         self.now = self._origin = self.longest = 0
         self._open = False
         self._held = Heard()
-        self._do(op="run", until=3 * MS)  # boot ROM, clocks, first event; what was heard waits for the first look
+        self._do(op="run", until=BOOTED)  # what was heard waits for the first look
 
     def _do(self, **op: object) -> None:
         assert self._process.stdin
@@ -173,6 +183,12 @@ class Emulated:
 
     def stall(self, ticks: int) -> None:
         self._do(op="stall", ticks=ticks)
+
+    def pull_up(self, pins: list[int]) -> None:
+        self._do(op="pulls", pulls=[[pin, 1] for pin in pins])
+
+    def erase_takes(self, ticks: int) -> None:
+        self._do(op="flash", erase_ticks=ticks)
 
     def close(self) -> None:
         assert self._process.stdin

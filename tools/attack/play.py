@@ -1,18 +1,26 @@
 """Plays scenes on a board as a host would, and keeps what was said and heard for tools.attack.truth to judge."""
 
 import itertools
+import random
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from annulus.controller import (
+    PIN_CAMERA_TRIGGER,
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_END_HIGH,
     PIN_END_LOW,
     PIN_INTERLOCK,
+    PIN_LED,
+    PIN_MICROWAVE,
+    PIN_PROJECTOR,
     PIN_STEP,
     PIN_SYNC,
+    PIN_TRIGGER,
     TURNTABLE_LAG_MS,
+    UPDATE_CHUNK_BYTES,
 )
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
@@ -23,6 +31,7 @@ from annulus.link.messages import (
     Booted,
     BurstReply,
     BurstStop,
+    CameraTrigger,
     Clear,
     Command,
     Commit,
@@ -33,13 +42,18 @@ from annulus.link.messages import (
     Info,
     InfoReply,
     Pattern,
+    Polarity,
+    PolarityFlag,
     Reply,
     Reread,
+    Reset,
     Stage,
     StateFlag,
     Status,
     StatusCode,
     StatusReply,
+    UpdateBegin,
+    UpdateData,
 )
 from tools.attack.boards import MS, UART, USB, Board, BrokenPromiseError, Edge, Heard
 from tools.attack.scenes import Scene
@@ -48,6 +62,8 @@ BYTE_TICKS = 1000
 PATIENCE = 30 * MS  # for an answer, a full line of events before it
 STANDS_WITHIN = 410 * MS  # the turntable, along the slowest ramp of a scene, its driver's lead before it
 LAG = TURNTABLE_LAG_MS * MS + MS  # until its power is surely gone
+FLASH_TAKES = 1000 * MS  # for what an update has in hand: two sectors, at most
+RESET_TAKES = 700 * MS  # with the loader's work, and what the flash has in hand
 MOTOR = (PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 
 
@@ -88,18 +104,36 @@ class Kept:
     unplugged: list[int] = field(default_factory=list)
     noise: list[int] = field(default_factory=list)
     falls: list[int] = field(default_factory=list)
+    doubtful: set[int] = field(default_factory=set)  # of these, ends of triggers cut off by a commit
     boots: int = 0  # the controller began anew
     first: StatusReply | None = None
     last: StatusReply | None = None
     missed_before: int = 0  # transitions of the odometer, since boot
     missed: int = 0
+    before: list[Told] = field(default_factory=list)  # told by the boots that ended in the scene
+
+
+AS_DRAWN = PolarityFlag(0)
+INVERTIBLE = {
+    PIN_SYNC: PolarityFlag.SYNC,
+    PIN_PROJECTOR: PolarityFlag.PROJECTOR,
+    PIN_LED: PolarityFlag.LED,
+    PIN_MICROWAVE: PolarityFlag.MICROWAVE,
+    PIN_TRIGGER: PolarityFlag.TRIGGER,
+    PIN_CAMERA_TRIGGER: PolarityFlag.CAMERA_TRIGGER,
+}
 
 
 class Player:
-    """One board, from power on."""
+    """One board, from power on. Everybody else finds its pins as if none of them were inverted."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, inverted: PolarityFlag = AS_DRAWN) -> None:
         self.board = board
+        self.inverted = inverted
+        self._turned = {pin for pin, flag in INVERTIBLE.items() if flag & inverted}
+        self._origin = board.origin
+        self._staging: Iterator[UpdateData] | None = None  # chunks of an update under way
+        self._due: Asked | None = None  # the one of them that is on its way
         self.done: deque[str] = deque(maxlen=30)
         self.kept = Kept()
         self.high: dict[int, int] = {}  # pins that are high, since when
@@ -109,10 +143,14 @@ class Player:
         self._decoders = (Decoder(), Decoder())
         self._line_free = [0, 0]
         self._boot: int | None = None
+        self._past: set[int] = set()  # the boot before
         self.next_index = 0  # of the newest event, one more
         self.edges = 0  # falling edges played so far
         self.line = UART
         self.level = LEVEL  # the controller's, if that is lower
+        if inverted:
+            self.input([(board.now, PIN_SYNC, 1)])
+            board.pull_up([pin for pin in self._turned if pin != PIN_SYNC])
         self._look(board.run(board.now + MS))
 
     # ---- to the controller ----
@@ -143,10 +181,14 @@ class Player:
         while until > self.board.now:  # in pieces, in which no tick wraps
             self._look(self.board.run(min(until, self.board.now + 10_000 * MS)))
 
+    def input(self, edges: list[Edge]) -> None:
+        self.board.input([(tick, pin, level ^ (pin in self._turned)) for tick, pin, level in edges])
+
     # ---- from the controller ----
 
     def _look(self, heard: Heard) -> None:
-        for tick, pin, level in heard.transitions:
+        for tick, pin, at_the_pad in heard.transitions:
+            level = at_the_pad ^ (pin in self._turned)
             if pin in MOTOR:
                 self.motor.append((tick, pin, level))
             if pin in (PIN_DIRECTION, PIN_ENABLE):
@@ -163,16 +205,26 @@ class Player:
                     self._event(item.message, item)
                 elif isinstance(item.message, Reply):
                     self._reply(line, item.message, item.sequence)
+        if self._staging and (self._due is None or self._due.reply):
+            if self._due and self._due.reply and self._due.reply.status != StatusCode.OK:
+                self._staging = None  # given up, or ended by a reset
+            elif chunk := next(self._staging, None):
+                self._due = self.send(self.line, chunk)
 
     def world(self, tick: int) -> int:
         """Of a tick the controller counted in the last 40 s, or will in the next 3."""
-        behind = (self.board.now - self.board.origin - tick) & 0xFFFFFFFF
+        behind = (self.board.now - self._origin - tick) & 0xFFFFFFFF
         return self.board.now - (behind if behind < 4_000_000_000 else behind - (1 << 32))
 
     def _event(self, event: Event, frame: Frame) -> None:
+        if frame.boot in self._past:
+            return  # the other line was slower
         if frame.boot != self._boot:
+            self._past = {self._boot} if self._boot is not None else set()
             self.kept.boots += self._boot is not None
-            self._boot, self.next_index = frame.boot, 0
+            self.kept.before += [self.kept.told[index] for index in sorted(self.kept.told)]
+            self._boot, self.next_index, self._origin = frame.boot, 0, self.board.origin
+            self._staging = self._due = None
             self.kept.told.clear()
             self.kept.times_told.clear()
         ahead = ((frame.sequence - self.next_index + 0x8000) & 0xFFFF) - 0x8000
@@ -201,10 +253,9 @@ class Player:
         begin = self.board.now + MS
         self.kept.began = begin
         self.kept.falls = [begin + tick for tick in scene.falls]
-        self.edges += len(scene.falls)
         self.kept.opened = [begin + tick for tick, pin, level in scene.inputs if (pin, level) == (PIN_INTERLOCK, 1)]
         self.note(f"scene begins: {scene.config}, sync from {begin + scene.falls[0]}, {len(scene.falls)} edges")
-        self.board.input([(begin + tick, pin, level) for tick, pin, level in scene.inputs])
+        self.input([(begin + tick, pin, level) for tick, pin, level in scene.inputs])
         for tick, what, line, value in scene.actions:
             self.run(begin + tick)
             self._act(what, line, value)
@@ -212,6 +263,14 @@ class Player:
         self.run(begin + last)
         self.run(max(end for _, end in [*self.kept.stalls, (0, 0)]) + MS)
         self._finish(scene)
+        if scene.trigger:
+            since = next(asked.sent for asked in self.kept.asked if asked.reply is self.kept.first)
+            self.kept.falls = [fall for _, fall in self.kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]
+            changes = [(a.sent, a.answered) for a in self.kept.asked if isinstance(a.command, Commit)]
+            for sent, done in changes:  # and the first end after it, which may come within a hold-off
+                cut = [fall for fall in self.kept.falls if sent <= fall <= done]
+                self.kept.doubtful.update(cut, [fall for fall in self.kept.falls if fall > done][:1])
+        self.edges += len(self.kept.falls)
         return True
 
     def _act(self, what: str, line: int, value: object) -> None:
@@ -225,6 +284,13 @@ class Player:
             self.note(f"main loop stands still for {value} ticks")
             self.kept.stalls.append((self.board.now, self.board.now + value))
             self.board.stall(value)
+        elif what == "update" and isinstance(value, int):
+            data = random.Random(value).randbytes(value * UPDATE_CHUNK_BYTES)
+            name = b"native\0\0" if self.board.name == "native" else b"rp2040\0\0"
+            self._due = self.send(line, UpdateBegin(len(data), self.board.now & 0xFFFFFFFF, name))
+            self._staging = iter(
+                [UpdateData(at, data[at : at + UPDATE_CHUNK_BYTES]) for at in range(0, len(data), UPDATE_CHUNK_BYTES)]
+            )
         elif what == "noise" and isinstance(value, bytes):
             self.note(f"line {line}: noise {value.hex()}")
             self.kept.noise.append(line)
@@ -239,8 +305,10 @@ class Player:
     def _prepare(self, scene: Scene) -> None:
         board = self.board
         self.kept = Kept(began=board.now)
-        board.input([(board.now, pin, 0) for pin in (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)])
-        board.input([(board.now, PIN_SYNC, 1)])
+        self.input([(board.now, pin, 0) for pin in (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)])
+        self.input([(board.now, PIN_SYNC, 1)])
+        if scene.erase:
+            board.erase_takes(scene.erase)
         self.line = scene.line
         if scene.line == USB and not board.connected():
             board.plug(True)
@@ -260,6 +328,9 @@ class Player:
             self._must(scene.config)
         config = scene.config
         chips = sum(1 << i for i, chip in enumerate(scene.chips) if chip == "1")
+        if scene.level == LEVEL and self.level == LEVEL:
+            self._must(Polarity(config.generation, self.inverted))
+            self._must(CameraTrigger(config.generation, scene.trigger))
         self._must(Commit(generation=config.generation))
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
         if scene.turntable and self.level == LEVEL:
@@ -298,6 +369,19 @@ class Player:
 
     def _finish(self, scene: Scene) -> None:
         """Dark, quiet, and every event that can be had."""
+        self._staging = None  # after what is on its way, once the flash has time for it
+        end = self.board.now + FLASH_TAKES
+        while self._due and self._due.reply is None and self.board.now < end and not self.kept.boots:
+            self.run(self.board.now + 5 * MS)
+        self._due = None
+        if any(isinstance(asked.command, Reset) for asked in self.kept.asked):
+            end = self.board.now + RESET_TAKES
+            while not self.kept.boots and self.board.now < end:
+                self.run(self.board.now + MS // 5)
+            if self.kept.boots:  # what comes next finds the board as the reset left it
+                self.line = UART
+                self.kept.last = self._status()
+                return
         if scene.line == USB and not self.board.connected():
             self.line = UART
             self.run(self.board.now + 5 * MS)

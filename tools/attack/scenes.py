@@ -60,6 +60,9 @@ class Scene:
     turntable: Turntable | None = None  # what it is told to begin with
     preamble: Preamble | None = None  # and what preambles are to be like
     level: int = 1  # of the host
+    trigger: int = 0  # how long each of the camera's triggers lasts; their ends are the edges then
+    erase: int = 0  # how long the flash takes for a sector
+    resets: bool = False  # it ends with one
 
 
 def legal_config(rng: random.Random, generation: int, period: int) -> Stage:

@@ -1,5 +1,6 @@
 """A host that says nothing: what is live ends within the timeout and not before, says so, and stays latched."""
 
+from annulus.controller import PIN_CAMERA_TRIGGER
 from annulus.link.messages import Arm, Clear, Fault, FaultCode, Stage, StatusCode
 from tools.attack.boards import MS, USB, Board, insist
 from tools.attack.play import Kept, Told
@@ -18,6 +19,8 @@ def silence(kept: Kept, told: list[Told], line: int, configs: list[Stage], latch
     late = 2 * board.round_max + (2 * USB_FRAME if line == USB else 0) + slow
     flash = max(max(c.projector_width, c.led_width) for c in configs)
     for pin, pulses in kept.pulses.items():
+        if pin == PIN_CAMERA_TRIGGER:
+            continue  # armed or not
         last = kept.began
         words = iter([*heard, 1 << 62])
         following = next(words)
@@ -38,7 +41,8 @@ def silence(kept: Kept, told: list[Told], line: int, configs: list[Stage], latch
                 f"the host was silent for {(following - said) / MS:.0f} ms, which latched nothing",
                 said,
             )
-    if not kept.unplugged:
+    if not kept.unplugged:  # what came while the main loop stood still may have been lost
+        heard = sorted(asked.through for asked in kept.asked if asked.line == line and asked.reply)
         _never_early(told, heard, min(timeouts), late)
     _stays(kept, told)
 

@@ -45,7 +45,7 @@ from annulus.link.messages import (
     SyncLost,
 )
 from annulus.vocabulary import EdgeFlag
-from tools.attack.boards import MS, ROOT, USB, BrokenPromiseError, Emulated
+from tools.attack.boards import BOOTED, MS, ROOT, USB, BrokenPromiseError, Emulated
 from tools.attack.odometer import is_odometer
 from tools.attack.play import Kept, Player
 from tools.attack.scenes import QUADRATURE
@@ -235,7 +235,6 @@ def late_in_a_frame(place: Place) -> Measured:
 
 
 POWER_UPS = 40
-BOOTED = 3 * MS
 
 
 def alike_after_power_ups(place: Place) -> Measured:

@@ -3,20 +3,14 @@
 Knows nothing of how the firmware does it. Every check raises BrokenPromiseError with the tick it is about.
 """
 
-import itertools
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from annulus.controller import (
     LAMP_DUTY_MAX_PERMILLE,
     LAMP_WIDTH_MAX_TICKS,
-    MICROWAVE_DUTY_MAX_PERMILLE,
-    MICROWAVE_PULSE_MAX_TICKS,
     PIN_LED,
-    PIN_MICROWAVE,
     PIN_PROJECTOR,
-    PIN_TRIGGER,
 )
 from annulus.link.messages import (
     EVENT_RING,
@@ -32,19 +26,23 @@ from annulus.link.messages import (
     FaultCode,
     Reread,
     RereadReply,
+    Reset,
     Stage,
     StatusCode,
+    StatusReply,
     SyncLost,
 )
 from annulus.vocabulary import EdgeFlag, Lamp
+from tools.attack import products_truth
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
+from tools.attack.limits import Limits
 from tools.attack.motor import Motor
 from tools.attack.odometer import odometer
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 from tools.attack.silence import silence
 from tools.attack.slots import Slots, is_order, order_at, orders_kept
-from tools.attack.trains import chips_of, trains
+from tools.attack.trains import trains
 
 US = MS // 1000
 LATCHING = {
@@ -56,27 +54,8 @@ LATCHING = {
 }
 LAMP_PINS = {Lamp.PROJECTOR: PIN_PROJECTOR, Lamp.LED: PIN_LED}
 WATCHDOG = 100 * MS
-CUT = 10  # ticks from an interlock that opens to its gate low; a chip is at least as long
-DUTY_SLACK = 200  # ticks: a board counts from the tick it reads, not from the pin
-
-
-@dataclass(slots=True)
-class Duty:
-    """On-time owed, in ticks: filled by light, drained at the limit's rate."""
-
-    permille: int
-    owed: float = 0.0
-    at: int = 0
-
-    def rise(self, tick: int) -> float:
-        self.owed = max(0.0, self.owed - (tick - self.at) * self.permille / 1000)
-        self.at = max(self.at, tick)
-        return self.owed
-
-    def fall(self, rise: int, tick: int) -> None:
-        """The drain of the on-time itself counts: whoever is on for w owes w less what drained."""
-        self.owed = max(0.0, self.owed + (tick - rise) - (tick - rise) * self.permille / 1000)
-        self.at = tick
+STALLED = 2 * MS  # a round after the main loop stood still: within the guard's credit
+FLASH_OWES = LAMP_WIDTH_MAX_TICKS * 1000 // LAMP_DUTY_MAX_PERMILLE
 
 
 def holdoff(config: Stage) -> int:
@@ -90,17 +69,12 @@ class Truth:
     def __init__(self, player: Player) -> None:
         self.player = player
         self.board: Board = player.board
-        self.duty = {
-            PIN_PROJECTOR: Duty(LAMP_DUTY_MAX_PERMILLE),
-            PIN_LED: Duty(LAMP_DUTY_MAX_PERMILLE),
-            PIN_MICROWAVE: Duty(MICROWAVE_DUTY_MAX_PERMILLE),
-        }
-        self.burst_on = 0  # on-time of the longest burst yet
-        self.flash_on = 0  # and of the longest flash
+        self.limits = Limits(player)
         self.motor = Motor(player)
         self.slots = Slots()
         self.longest = 0  # ticks a round took
         self.round = 0  # and of the scene's rounds the longest
+        self.trigger: tuple[int, int] | None = (0, 0)  # of cameras, in force: period and width
         self.before: Stage | None = None  # in force when the scene began
         self.earlier: list[Stage] = []  # in force since the last scene in which an edge counted began
 
@@ -108,14 +82,17 @@ class Truth:
         """What was broken, each check's first."""
         kept = self.player.kept
         checks: list[Callable[[], None]] = [
-            lambda: self._limits(kept),
-            lambda: self._interlock(kept),
-            lambda: self._boots(kept),
+            lambda: self.limits.judge(kept),
+            lambda: self._interlock(kept, scene),
+            lambda: self._boots(kept, scene),
+            lambda: self._trigger(kept, scene),
+            lambda: products_truth.update(kept),
             lambda: self._answers(kept),
             self._round,
         ]
         if kept.boots == 0:
-            told = [kept.told[index] for index in sorted(kept.told) if index >= self._first(kept)]
+            first, (made, _) = self._first(kept), self._count(kept)
+            told = [kept.told[index] for index in sorted(kept.told) if first <= index < first + made]
             whole = self._is_whole(kept)
             checks += [
                 lambda: self._sequence(kept),
@@ -129,11 +106,14 @@ class Truth:
                 lambda: self._sync(told, kept),
                 lambda: trains(kept, told, self.board.now) if whole and self._knows_trains(kept) else None,
                 lambda: self._counters(kept, told, whole),
-                lambda: odometer(kept, told, scene, whole),
+                lambda: self._odometer(kept, told, scene, whole),
+                lambda: products_truth.first_fault_stays(kept, told, scene) if whole else None,
                 lambda: self._rereads(kept),
             ]
         else:
             self.slots.lost()
+            both = [*kept.before, *(kept.told[index] for index in sorted(kept.told))]
+            checks.append(lambda: self._armed(kept, both))
             checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False, longest=0))
         broken = []
         for check in checks:
@@ -146,50 +126,38 @@ class Truth:
     def _round(self) -> None:
         self.round, self.board.longest = self.board.longest, 0
         self.longest = max(self.longest, self.round)
-        most = self.board.round_max
+        most = STALLED if self.player.kept.stalls else self.board.round_max  # then it has all that came meanwhile to do
         insist(self.round <= most, f"a round of the main loop took {self.round / US:.0f} us, budget {most / US:.0f}")
 
     # ---- at the pins alone ----
 
-    def _limits(self, kept: Kept) -> None:
-        for asked in kept.asked:
-            if isinstance(asked.command, Burst) and asked.reply and asked.reply.status == StatusCode.OK:
-                on = chips_of(kept, asked).count("1") * asked.command.chip
-                self.burst_on = max(self.burst_on, on)
-        for pin, duty in self.duty.items():
-            for rise, fall in kept.pulses.get(pin, ()):
-                if pin != PIN_MICROWAVE:
-                    self.flash_on = max(self.flash_on, fall - rise)
-                slack = self.burst_on if pin == PIN_MICROWAVE else self.flash_on  # the share, and one on-time more
-                owed = duty.rise(rise)
-                share = 100 * (1 + owed / max(1, fall - rise)) * duty.permille / 1000
-                insist(
-                    owed <= slack + DUTY_SLACK,
-                    f"GP{pin} over its duty: {owed:.0f} ticks owed, some {share:.0f} %",
-                    rise,
-                )
-                duty.fall(rise, fall)
-        for pin in (PIN_PROJECTOR, PIN_LED):
-            for rise, fall in kept.pulses.get(pin, ()):
-                insist(fall - rise <= LAMP_WIDTH_MAX_TICKS, f"GP{pin} on for {fall - rise} ticks", rise)
-            insist(pin not in self.player.high, f"GP{pin} still on", self.player.high.get(pin, 0))
-        both = sorted((r, f, p) for p in (PIN_PROJECTOR, PIN_LED) for r, f in kept.pulses.get(p, ()))
-        for (_, fall, _), (rise, _, _) in itertools.pairwise(both):
-            insist(rise >= fall, "both lamps on", rise)
-        for rise, fall in kept.pulses.get(PIN_MICROWAVE, ()):
-            insist(fall - rise <= MICROWAVE_PULSE_MAX_TICKS, f"microwave pulse of {fall - rise} ticks", rise)
+    def _interlock(self, kept: Kept, scene: Scene) -> None:
+        slow = self.board.round_max + sum(end - begin for begin, end in kept.stalls)
+        products_truth.interlock(kept, scene, slow)
 
-    def _interlock(self, kept: Kept) -> None:
-        for pin in (PIN_MICROWAVE, PIN_TRIGGER):
-            for rise, fall in kept.pulses.get(pin, ()):
-                at = bisect_right(kept.opened, rise)
-                if at < len(kept.opened) and fall > kept.opened[at] + CUT:
-                    insist(False, f"GP{pin} high {fall - kept.opened[at]} ticks after the interlock opened", rise)
+    def _trigger(self, kept: Kept, scene: Scene) -> None:
+        self.trigger = products_truth.camera_trigger(kept, scene, self.trigger)
+
+    def _odometer(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
+        if products_truth.measured(kept):
+            assert kept.first
+            lost = kept.missed - kept.missed_before
+            products_truth.frozen_odometer(kept, told, scene, kept.first.odometer, lost)
+        else:
+            later = [item for item in told if isinstance(item.event, Edge)][1:]  # the first may be one after a scene's
+            frozen = any(products_truth.is_frozen(item.event) for item in later)
+            insist(bool(kept.stalls) or not frozen, "odometer_frozen, and nobody measured")
+            odometer(kept, told, scene, whole)
 
     # ---- what was answered ----
 
-    def _boots(self, kept: Kept) -> None:
+    def _boots(self, kept: Kept, scene: Scene) -> None:
         stalled = any(end - begin > WATCHDOG - 5 * MS for begin, end in kept.stalls)
+        resets = [a for a in kept.asked if isinstance(a.command, Reset)]
+        insist(kept.boots <= 1 or stalled, f"the controller began anew {kept.boots} times")
+        if resets:
+            insist(kept.boots > 0 or not products_truth.accepted(resets[0]), "told to reset, and did not")
+            return
         insist(kept.boots == 0 or stalled, "the controller began anew, and nobody held its main loop for 100 ms")
 
     def _answers(self, kept: Kept) -> None:
@@ -243,7 +211,8 @@ class Truth:
     # ---- when something may be lit ----
 
     def _armed(self, kept: Kept, told: list[Told]) -> None:
-        arms = [(asked, asked.command.outputs) for asked in kept.asked if isinstance(asked.command, Arm)]
+        arms = [(asked, asked.command.outputs if isinstance(asked.command, Arm) else ArmFlag(0))
+                for asked in kept.asked if isinstance(asked.command, Arm | Reset)]  # fmt: skip
         ends = [(item.tick, item.tick) for item in told if is_latching(item.event)]
 
         def permitted(tick: int, output: ArmFlag) -> bool:
@@ -282,7 +251,8 @@ class Truth:
                     insist(slow > MS, "fault watchdog, and nobody held the main loop", item.tick)
         latched = self._latched(kept, told)
         for tick in kept.opened:
-            if not self._surely_armed(kept, tick, latched):
+            disarmed = any(isinstance(a.command, Arm) and tick < a.sent <= tick + slow for a in kept.asked)
+            if disarmed or not self._surely_armed(kept, tick, latched):
                 continue
             insist(
                 any(tick - US <= when <= tick + slow + 10 * MS for when in latched),
@@ -354,7 +324,7 @@ class Truth:
                     rise in starts or not whole, f"GP{pin} lit for {fall - rise} ticks, of which no event tells", rise
                 )
         if whole:
-            self._accepted(kept, taken, scene)
+            self._accepted(kept, taken)
             orders_kept(kept, list(zip(taken, (edge for _, edge in edges), strict=True)))
         self.earlier = [*([] if taken else self.earlier), *self._configs(kept)]
         self.before = by_generation.get(kept.last.generation) if kept.last else None
@@ -363,8 +333,13 @@ class Truth:
         """What may end a flash: from when to when it may have acted."""
         orders = [(a.sent, a.answered) for a in kept.asked if isinstance(a.command, Arm)
                   and not a.command.outputs & ArmFlag.LAMPS]  # fmt: skip
+        slow = sum(end - begin for begin, end in kept.stalls)
         pulled = [(tick, tick + 5 * MS) for tick in kept.unplugged]
-        return [*orders, *pulled, *((item.tick - MS, item.tick + US) for item in told if is_latching(item.event))]
+        return [
+            *orders,
+            *pulled,
+            *((item.tick - MS - slow, item.tick + US) for item in told if is_latching(item.event)),
+        ]
 
     def _flash(self, kept: Kept, edge: Edge, rise: int, tick: int, cuts: list[tuple[int, int]]) -> None:
         pin = LAMP_PINS[edge.lamp]
@@ -380,16 +355,25 @@ class Truth:
     def _late(self, kept: Kept, told: list[Told], tick: int, previous: int) -> None:
         """Allowed after a main loop held up, an edge just before, or an order that changes what is loaded."""
         patience = self.board.round_max
+        configured = [i for i in told if isinstance(i.event, Configured) and previous <= i.tick <= tick]
         reasons = (
             previous == 0 or tick - previous < patience,
-            sum(isinstance(i.event, Configured) and previous <= i.tick <= tick for i in told) > 1,  # two hold-offs
+            previous - self.board.origin < FLASH_OWES,  # by then a flash of before a reset is paid for
+            len(configured) > 1,  # two hold-offs
+            configured and self._owes(kept, previous, tick),  # dark time that an earlier edge would not pay
             any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
             any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if reloads_flash(a)),
             any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),
         )
         insist(any(reasons), "late_load, and nothing held the main loop up", tick)
 
-    def _accepted(self, kept: Kept, taken: list[int], scene: Scene) -> None:
+    def _owes(self, kept: Kept, previous: int, tick: int) -> bool:
+        """Does a lamp owe dark time to the earliest edge after `previous`?"""
+        earliest = previous + min(map(holdoff, self._configs(kept)))
+        lit = [pulse for pin in LAMP_PINS.values() for pulse in kept.pulses.get(pin, ()) if pulse[0] < tick]
+        return any(fall + (fall - rise) > earliest for rise, fall in lit)
+
+    def _accepted(self, kept: Kept, taken: list[int]) -> None:
         """Every edge outside the hold-off counts, none within it."""
         holdoffs = [holdoff(config) for config in self._configs(kept)]
         least, most = min(holdoffs), max(holdoffs)
@@ -397,11 +381,14 @@ class Truth:
         first = min([least, *map(holdoff, self.earlier)]) if self.board.name != "native" else least
         accepted = set(taken)
         last: int | None = None
+        (_, low), (high, _) = self._asked(kept, kept.first), self._asked(kept, kept.last)
         stalled = bool(kept.stalls)
         for fall in kept.falls:
+            if not low < fall < high or (fall in kept.doubtful and fall not in accepted):
+                continue  # by itself, while its controller was asked how many there were
             if fall in accepted:
                 insist(
-                    last is None or fall - last >= (first if last == taken[0] else least) - 20,
+                    last is None or fall in kept.doubtful or fall - last >= (first if last == taken[0] else least) - 20,
                     f"an edge {fall - (last or 0)} ticks after the last counted",
                     fall,
                 )
@@ -425,21 +412,29 @@ class Truth:
 
     # ---- counters ----
 
+    @staticmethod
+    def _asked(kept: Kept, reply: StatusReply | None) -> tuple[int, int]:
+        """When a status was asked for, and answered."""
+        return next((asked.sent, asked.answered) for asked in kept.asked if asked.reply is reply)
+
     def _counters(self, kept: Kept, told: list[Told], whole: bool) -> None:
         first, last = kept.first, kept.last
         assert first
         assert last
         accepted, refused = last.edges - first.edges, last.rejected - first.rejected
         counts = self.board.name == "native" or not kept.stalls  # the emulator's stall holds interrupts up as well
+        (least, early), (late, most) = self._asked(kept, first), self._asked(kept, last)
+        sure = bisect_right(kept.falls, late) - bisect_left(kept.falls, early) - len(kept.doubtful)
+        most = bisect_right(kept.falls, most) - bisect_left(kept.falls, least)
         insist(
-            accepted + refused == len(kept.falls) or not counts,
+            sure <= accepted + refused <= most or not counts,
             f"{len(kept.falls)} edges fell, {accepted} counted and {refused} refused",
         )
         if whole:
             edges = [item.event for item in told if isinstance(item.event, Edge)]
             insist(len(edges) == accepted, f"{accepted} edges counted, {len(edges)} told")
-            late = sum(bool(edge.flags & EdgeFlag.LATE_LOAD) for edge in edges)
-            insist(late == last.late - first.late, f"{late} late flashes told, {last.late - first.late} counted")
+            flags = sum(bool(edge.flags & EdgeFlag.LATE_LOAD) for edge in edges)
+            insist(flags == last.late - first.late, f"{flags} late flashes told, {last.late - first.late} counted")
         if not kept.noise and not kept.unplugged and not kept.stalls:
             insist(
                 last.bad_frames == first.bad_frames, f"{last.bad_frames - first.bad_frames} bad frames, none was sent"

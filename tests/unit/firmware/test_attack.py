@@ -1,6 +1,6 @@
 """The native board under attack: legal commands and waveforms from a seed, judged by what the documents promise.
 
-A million edges: `python -m tools.attack --edges 1000000 --jobs 2`.
+A million edges: `python -m tools.attack --edges 1000000 --jobs 2`, and `--meet` for scenes in which subsystems meet.
 """
 
 import shutil
@@ -78,6 +78,14 @@ def test_no_promise_breaks_in_five_thousand_edges(seed: int) -> None:
     outcome = attack("native", seed, 5_000)
     assert outcome.broken == []
     assert outcome.edges >= 5_000
+
+
+@pytest.mark.deep(but=1)
+@pytest.mark.parametrize("seed, edges", [(2, 600), (3, 10_000)])
+def test_no_promise_breaks_where_subsystems_meet(seed: int, edges: int) -> None:
+    outcome = attack("native", seed, edges, meet=True)
+    assert outcome.broken == []
+    assert outcome.edges >= edges
 
 
 @pytest.mark.deep(gate="tests/unit/firmware/test_attack.py::test_no_promise_breaks_in_five_thousand_edges")

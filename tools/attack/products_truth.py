@@ -1,0 +1,226 @@
+"""What must hold where subsystems meet: the first fault stays, an open interlock forbids, triggers are exact, an update
+and a measurement forbid what they must and say what they cost.
+"""
+
+from bisect import bisect_left, bisect_right
+from itertools import pairwise
+
+from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, PIN_CAMERA_TRIGGER, PIN_INTERLOCK, PIN_MICROWAVE, PIN_TRIGGER
+from annulus.link.messages import (
+    Arm,
+    CameraTrigger,
+    Clear,
+    Commit,
+    Edge,
+    Event,
+    Fault,
+    FaultCode,
+    Identify,
+    Measure,
+    Move,
+    Stage,
+    StatusCode,
+    StatusReply,
+    UpdateBegin,
+    UpdateData,
+    UpdateDataReply,
+)
+from annulus.vocabulary import EdgeFlag
+from tools.attack.boards import MS, insist
+from tools.attack.play import Asked, Kept, Told
+from tools.attack.scenes import Scene
+
+LATCHING = {
+    FaultCode.INTERLOCK,
+    FaultCode.HOST_TIMEOUT,
+    FaultCode.WATCHDOG,
+    FaultCode.LIMIT,
+    FaultCode.INTERLOCK_DISAGREES,
+}
+CHUNK = 32
+SEEN = 4  # ticks that an interlock must be open for hardware to see it; shorter, the core cuts within a round
+CUT = 10  # ticks from then to the gate low; a chip is at least as long
+SETTLED = 40  # ticks by which an edge and a transition of the odometer may change places
+UPDATE_SILENCE = 5000 * MS
+
+
+def accepted(asked: Asked) -> bool:
+    return asked.reply is not None and asked.reply.status == StatusCode.OK
+
+
+# ---- the interlock ----
+
+
+def open_spans(kept: Kept, scene: Scene) -> list[tuple[int, int]]:
+    """From when to when it was open, in ticks of the world."""
+    spans, since = [], None
+    for tick, pin, level in scene.inputs:
+        if pin == PIN_INTERLOCK and level and since is None:
+            since = kept.began + tick
+        elif pin == PIN_INTERLOCK and not level and since is not None:
+            spans.append((since, kept.began + tick))
+            since = None
+    return spans
+
+
+def interlock(kept: Kept, scene: Scene, slow: int) -> None:
+    """No pulse begins while it is open, and none outlasts its opening. `slow`: ticks a round takes, and stalls."""
+    for opened, shut in open_spans(kept, scene):
+        glimpsed = shut - opened <= SEEN
+        most = CUT + (slow if glimpsed else 0)
+        for pin in (PIN_MICROWAVE, PIN_TRIGGER):
+            pulses = kept.pulses.get(pin, [])
+            for rise, fall in pulses[max(0, bisect_right(pulses, (opened, 0)) - 1) :]:
+                if rise >= max(shut, opened + most):
+                    break
+                within = rise < min(shut, opened + most) or rise < opened
+                insist(rise <= opened + most or not rise < shut, f"GP{pin} rose with the interlock open", rise)
+                insist(not within or fall <= opened + most, f"GP{pin} high {fall - opened} ticks after it opened", rise)
+
+
+# ---- faults ----
+
+
+def latching(told: list[Told]) -> list[tuple[Told, FaultCode]]:
+    return [(i, i.event.fault) for i in told if isinstance(i.event, Fault) and i.event.fault in LATCHING]
+
+
+def first_fault_stays(kept: Kept, told: list[Told], scene: Scene) -> None:
+    """Until a `clear` is taken, nothing else latches and every status names it; taken only once its cause is gone."""
+    clears = [asked for asked in kept.asked if isinstance(asked.command, Clear)]
+    faults = latching(told)
+    for (first, what), (second, other) in pairwise(faults):
+        between = any(accepted(c) and c.answered >= first.tick and c.sent <= second.tick for c in clears)
+        insist(between or any(c.reply is None for c in clears), f"{other!r} latched over {what!r}", second.tick)
+    ends = [*(item.tick for item, _ in faults), 1 << 62][1:]
+    for (first, what), end in zip(faults, ends, strict=True):
+        cleared = min((c.sent for c in clears if c.answered >= first.tick), default=1 << 62)
+        for asked in kept.asked:
+            reply = asked.reply
+            if isinstance(reply, StatusReply) and first.tick < asked.sent and asked.answered < min(cleared, end):
+                insist(reply.fault == what, f"status says {reply.fault!r}, latched was {what!r}", asked.sent)
+    spans = open_spans(kept, scene)
+    for clear in clears:
+        before = [what for item, what in faults if item.tick < clear.sent - MS]
+        taken = any(accepted(c) and before and c.answered > faults[len(before) - 1][0].tick and c.sent < clear.sent
+                    for c in clears)  # fmt: skip
+        lasts = any(opened < clear.sent and clear.answered < shut for opened, shut in spans)
+        if before and before[-1] == FaultCode.INTERLOCK and not taken and lasts and clear.reply:
+            insist(clear.reply.status == StatusCode.UNSAFE, "clear taken with the interlock open", clear.sent)
+
+
+# ---- the cameras' clock ----
+
+
+def camera_trigger(kept: Kept, scene: Scene, before: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Exact period and width, but where a commit changed them. What is in force after it, (period, width); None if not
+    known.
+    """
+    force = staged = before or (0, 0)
+    changes: list[tuple[int, int, tuple[int, int]]] = []
+    for asked in kept.asked:
+        command = asked.command
+        if not accepted(asked):
+            continue
+        if isinstance(command, Stage):
+            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
+            staged = (command.frame_period, force[1] if room else 0)
+        elif isinstance(command, CameraTrigger):
+            staged = (staged[0], command.width)
+        elif isinstance(command, Commit):
+            if staged != force or before is None:
+                changes.append((asked.sent, asked.answered, staged))
+            force = staged
+    pulses = kept.pulses.get(PIN_CAMERA_TRIGGER, [])
+    if kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit)):
+        return None
+    at, (period, width) = 0, before or (0, 0)
+    known = before is not None
+    for sent, answered, (new_period, new_width) in [*changes, (1 << 62, 1 << 62, (0, 0))]:
+        mine = pulses[at : bisect_left(pulses, (sent, 0))]
+        mine = (mine[1:] if at else mine) if known else []  # the first one may last longer
+        known = True
+        insist(width > 0 or not mine, "a trigger, though there are none", mine[0][0] if mine else 0)
+        for rise, fall in mine[: -1 if sent < 1 << 62 else None]:
+            insist(fall - rise == width, f"a trigger of {fall - rise} ticks, {width} were in force", rise)
+        for (first, _), (second, _) in pairwise(mine):
+            insist(second - first == period, f"a trigger after {second - first} ticks, due {period}", second)
+        at, (period, width) = bisect_right(pulses, (answered, 0)), (new_period, new_width)
+    return force
+
+
+# ---- an update ----
+
+
+def update(kept: Kept) -> None:
+    """While one is surely under way nothing is armed or moved; every chunk is taken, and in its place."""
+    begun: Asked | None = None
+    for asked in () if kept.boots else kept.asked:
+        if isinstance(asked.command, UpdateBegin) and accepted(asked):
+            begun = asked
+        elif isinstance(asked.command, Identify):
+            begun = None
+        elif isinstance(asked.reply, UpdateDataReply) and isinstance(asked.command, UpdateData) and begun:
+            insist(accepted(asked), f"a chunk in its turn refused: {asked.reply}", asked.sent)
+            after = asked.command.offset + CHUNK
+            insist(asked.reply.next == after, f"chunk {asked.command.offset} taken, next is {asked.reply}", asked.sent)
+        elif begun and asked.sent > begun.answered and asked.answered < begun.answered + UPDATE_SILENCE:
+            live = isinstance(asked.command, Move) or (isinstance(asked.command, Arm) and bool(asked.command.outputs))
+            insist(not live or not accepted(asked), f"{asked.command} taken while an update was under way", asked.sent)
+
+
+# ---- a measurement ----
+
+
+def measured(kept: Kept) -> list[tuple[int, int, int, int]]:
+    """Begun at the earliest and latest, ended at the earliest and latest; each measurement that may have been."""
+    spans: list[tuple[int, int, int, int]] = []
+    begun: Asked | None = None
+    for asked in kept.asked:
+        command = asked.command
+        if isinstance(command, Measure) and asked.reply is None:
+            spans.append((asked.sent, 1 << 62, asked.sent, 1 << 62))
+        elif isinstance(command, Measure) and accepted(asked) and command.looks:
+            begun = begun or asked
+        elif begun and (isinstance(command, Identify) or (isinstance(command, Measure) and not command.looks)):
+            spans.append((begun.sent, begun.answered, asked.sent, asked.answered))
+            begun = None
+    if begun:
+        spans.append((begun.sent, begun.answered, 1 << 62, 1 << 62))
+    return spans
+
+
+def is_frozen(event: Event) -> bool:
+    return isinstance(event, Edge) and bool(event.flags & EdgeFlag.ODOMETER_FROZEN)
+
+
+def frozen_odometer(kept: Kept, told: list[Told], scene: Scene, base: int, lost: int) -> None:
+    """Edges in a measurement and the first after it say so, and no others; those others count on from one another."""
+    spans = measured(kept)
+    slow = 20 * MS + sum(end - begin for begin, end in kept.stalls)  # all edges of a round are flagged alike
+    ticks, counts = [kept.began + tick for tick, _ in scene.steps], [0]
+    for _, way in scene.steps:
+        counts.append(counts[-1] + way)
+    offsets: set[int] | None = {base}  # of what it says to where the cable is; None: any
+    edges = [(item.tick, item.event) for item in told if isinstance(item.event, Edge)]
+    for number, (tick, edge) in enumerate(edges):
+        within = any(latest < tick < ends for _, latest, ends, _ in spans)
+        before = edges[number - 1][0] if number else 0
+        near = any(begins - slow <= tick and before - slow <= ended for begins, _, _, ended in spans)
+        insist(is_frozen(edge) or not within, f"{edge}: unflagged, and a measurement was under way", tick)
+        insist(near or not number or not is_frozen(edge), f"{edge}: flagged, and no measurement was near", tick)
+        if is_frozen(edge):
+            offsets = None
+            continue
+        low, high = bisect_left(ticks, tick - SETTLED), bisect_right(ticks, tick + SETTLED)
+        here = {edge.odometer - count for count in counts[low : high + 1]}
+        if any(begins - MS <= tick for begins, _, _, _ in spans) and offsets is not None and not offsets & here:
+            offsets = None
+        if any(begin <= tick for begin, _ in kept.stalls):
+            continue
+        insist(
+            offsets is None or any(abs(a - b) <= lost for a in offsets for b in here),
+            f"{edge}: the odometer is off by another {here} than before, {offsets}",
+            tick,
+        )
+        offsets = here if offsets is None else offsets & here or here
