@@ -190,9 +190,10 @@ class Motor:
     def _until(self, done: Told, kept: Kept) -> int:
         """The report is stamped when its round began, in which the main loop may have been held."""
         until = done.tick + self.player.board.round_max
-        return max(
-            [until, *(end + self.player.board.round_max for begin, end in kept.stalls if done.tick <= begin <= until)]
-        )
+        for begin, end in sorted(kept.stalls):  # one may begin within another
+            if done.tick <= begin <= until:
+                until = max(until, end + self.player.board.round_max)
+        return until
 
     # ---- one move ----
 
