@@ -16,8 +16,8 @@ MUTANTS = {
     "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
     "a forgotten interlock": (
         "core/safety.c",
-        "if (tripped && (live || self->turntable.powered)) {",
-        "    if (tripped && (self->armed == 0U)) {",
+        "if (open || (tripped && (live || self->turntable.powered))) {",
+        "if (!open && tripped && (self->armed == 0U)) {",
     ),
     "an edge from the future": (
         "core/sequencer.c",
