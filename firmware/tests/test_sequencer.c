@@ -381,7 +381,7 @@ static void begins_at_slot_0(const uint8_t preamble)
     command_preamble_pack(&(command_preamble_t){.length = preamble}, payload);
     const uint8_t nothing = 0;
     const uint8_t lamps = ARM_LAMPS;
-    for (uint64_t phase = 0; phase < 24U * US; phase += 7U) {  // of the round that carries out both
+    for (uint64_t phase = 0; phase < 130U * US; phase += 31U) {  // of the two rounds that carry them out
         rig_start();
         native_usb_connect(true);
         rig_over_usb(true);
