@@ -15,6 +15,7 @@ from annulus.controller import (
     PIN_STEP,
     PIN_SYNC,
     PIN_TRIGGER,
+    TURNTABLE_LEAD_MS,
 )
 from annulus.link.messages import (
     LEVEL,
@@ -84,7 +85,7 @@ def test_a_look_is_what_the_pins_did_in_every_tick(jumpered: EmulatedBoard, seed
     assert board.request(Measure(1, PIN_STEP, 1, PIN_SYNC, PERIOD // 2 - early)).status == StatusCode.OK
     assert board.request(Arm(outputs=ArmFlag.LAMPS)).status == StatusCode.OK
     board.request(Move(position=4, period=PERIOD, hold=0))
-    board.run(board.now + 3 * MS)
+    board.run(board.now + (3 + TURNTABLE_LEAD_MS) * MS)
     reply, levels = samples(board)
     assert (reply.looks, reply.differs) == (1, 0)
     begin = board.rises(PIN_STEP)[0] + PERIOD // 2 - early + BEGIN

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S
+from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S, TICKS_PER_US, TURNTABLE_LEAD_MS
 from annulus.link.messages import Arm, ArmFlag, Move
 from annulus.link.operate import train_messages
 from annulus.tai.simulate import Setup, simulate
@@ -115,7 +115,7 @@ def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: Nati
         )
         _, burst = train_messages("single", Train(pattern("single"), 50, repeat=2, period_ticks=50_000))
         session = _Wire(bench)
-        session.tell(Move(37, 10_000, 1), wait=40 * 10_000)
+        session.tell(Move(37, 10_000, 1), wait=40 * 10_000 + TURNTABLE_LEAD_MS * 1000 * TICKS_PER_US)
         assert bench.steps == 37
         assert bench.scope.receive(b"") == b""  # it waits
         session.tell(Arm(ArmFlag.MICROWAVE))
