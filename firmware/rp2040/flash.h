@@ -39,6 +39,7 @@ typedef struct {
 #define RECORD_MAGIC 0x32445055U  // "UPD2"
 #define RECORD_CHECKED_BYTES 16U
 #define RECORD_UNTOUCHED 0xFFFFFFFFU
+_Static_assert(RECORDS_AT + RECORD_SECTORS * SECTOR_BYTES == LOADER_SPARE_AT, "nothing between lies bare");
 #define RECORD_PAGES (RECORD_SECTORS * SECTOR_BYTES / PAGE_BYTES)
 #define TRIAL_STARTS 3U  // unconfirmed ones before the other application is taken again
 

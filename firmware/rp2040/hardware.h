@@ -147,7 +147,6 @@ bool usb_hosted(void);  // configured by a host that keeps the bus busy, whether
 size_t usb_receive(uint8_t* bytes, size_t size);
 size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);
-bool usb_has_received(void);
 void usb_run(void);
 void usb_let_go(void);     // D+, at once: from an interrupt
 uint32_t usb_hangs(void);  // so often the device controller hung and was reset

@@ -186,11 +186,6 @@ bool usb_transmitted(void)
     return !usb_connected() || (!in.taken && (in.filled == 0U));
 }
 
-bool usb_has_received(void)
-{
-    return out.at < out.length;
-}
-
 // ---- the port ----
 
 void usb_port_open(void)

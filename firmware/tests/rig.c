@@ -263,3 +263,22 @@ void rig_scan(const uint8_t ratio)
     rig_arm(ARM_LAMPS);
     rig_forget();
 }
+
+uint8_t rig_start_train(const uint16_t repeat)
+{
+    uint8_t payload[COMMAND_BURST_LENGTH];
+    command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
+                       payload);
+    return rig_status_of(COMMAND_BURST, payload);
+}
+
+event_fault_t rig_take_fault(void)
+{
+    event_fault_t fault = {0};
+    const got_t* const taken = rig_take(EVENT_FAULT);
+    EXPECT(taken != NULL);
+    if (taken != NULL) {
+        event_fault_unpack(&fault, taken->payload);
+    }
+    return fault;
+}

@@ -74,4 +74,10 @@ uint64_t rig_rise(uint8_t pin, size_t index);
 uint64_t rig_fall(uint8_t pin, size_t index);
 size_t rig_rises(uint8_t pin);
 
+// Bursts of MPSL25, chips of 0.5 us, 5 kHz; the status.
+uint8_t rig_start_train(uint16_t repeat);
+
+// The oldest fault not yet taken.
+event_fault_t rig_take_fault(void);
+
 #endif

@@ -4,25 +4,6 @@
 #include "rig.h"
 #include "check.h"
 
-static uint8_t start_train(const uint16_t repeat)
-{
-    uint8_t payload[COMMAND_BURST_LENGTH];
-    command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
-                       payload);
-    return rig_status_of(COMMAND_BURST, payload);
-}
-
-static event_fault_t take_fault(void)
-{
-    event_fault_t fault = {0};
-    const got_t* const got = rig_take(EVENT_FAULT);
-    EXPECT(got != NULL);
-    if (got != NULL) {
-        event_fault_unpack(&fault, got->payload);
-    }
-    return fault;
-}
-
 static const uint8_t second = INTERLOCK_ANTIVALENT;
 
 static void close_both(void)
@@ -48,7 +29,7 @@ static void either_input_of_the_interlock_cuts_the_microwave_without_the_core(vo
     for (size_t i = 0; i < 2U; i++) {
         close_both();
         rig_arm(ARM_MICROWAVE);
-        EXPECT_EQ(start_train(65535), STATUS_OK);
+        EXPECT_EQ(rig_start_train(65535), STATUS_OK);
         native_stall_cpu(10 * MS);
         const uint64_t opens = native_tick() + 12345;
         native_input(opens, inputs[i].pin, inputs[i].unsafe);
@@ -56,7 +37,7 @@ static void either_input_of_the_interlock_cuts_the_microwave_without_the_core(vo
         EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
         native_input(opens + MS, inputs[i].pin, 1U - inputs[i].unsafe);
         rig_pass(PERIOD);
-        EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(rig_take_fault().fault, FAULT_INTERLOCK);
         EXPECT_EQ(inputs_now(), INTERLOCK_ANTIVALENT);
         EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
     }
@@ -77,7 +58,7 @@ static void inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_ow
 
     native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);  // a wire that broke
     rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
-    const event_fault_t fault = take_fault();
+    const event_fault_t fault = rig_take_fault();
     EXPECT_EQ(fault.fault, FAULT_INTERLOCK_DISAGREES);
     EXPECT_EQ(fault.detail, INTERLOCK_ANTIVALENT | INTERLOCK_ANTIVALENT_OPEN);
     EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK_DISAGREES);
@@ -101,8 +82,8 @@ static void a_contradiction_behind_another_fault_is_told_and_holds_up_clear(void
     rig_arm(ARM_MICROWAVE);
     native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);
     rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
-    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
-    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_INTERLOCK);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_INTERLOCK_DISAGREES);
     EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);  // the first cause stays
     EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
     native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
@@ -113,10 +94,10 @@ static void a_contradiction_behind_another_fault_is_told_and_holds_up_clear(void
     close_both();
     rig_arm(ARM_MICROWAVE);
     rig_pass(HOST_TIMEOUT_DEFAULT_MS * MS + 2 * MS);
-    EXPECT_EQ(take_fault().fault, FAULT_HOST_TIMEOUT);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_HOST_TIMEOUT);
     native_input(native_tick(), PIN_INTERLOCK, 1);
     rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
-    EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK_DISAGREES);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_INTERLOCK_DISAGREES);
     EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
     EXPECT_EQ(rig_status_of(COMMAND_INTERLOCK, (const uint8_t[]){0}), STATUS_OK);  // somebody takes it out of use
     EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
@@ -128,7 +109,7 @@ static void a_host_of_an_earlier_level_is_told_of_an_open_interlock(void)
     rig_command(COMMAND_INFO, (const uint8_t[]){2});
     native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 0);
     rig_pass((INTERLOCK_DISAGREE_MS + 1U) * MS);
-    const event_fault_t fault = take_fault();
+    const event_fault_t fault = rig_take_fault();
     EXPECT_EQ(fault.fault, FAULT_INTERLOCK);
     EXPECT_EQ(fault.detail, FAULT_INTERLOCK_DISAGREES);
     EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);

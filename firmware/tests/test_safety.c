@@ -18,30 +18,11 @@ static void start_armed(const uint8_t outputs)
     rig_forget();
 }
 
-static uint8_t start_train(const uint16_t repeat)
-{
-    uint8_t payload[COMMAND_BURST_LENGTH];
-    command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
-                       payload);
-    return rig_status_of(COMMAND_BURST, payload);
-}
-
-static event_fault_t take_fault(void)
-{
-    event_fault_t fault = {0};
-    const got_t* const got = rig_take(EVENT_FAULT);
-    EXPECT(got != NULL);
-    if (got != NULL) {
-        event_fault_unpack(&fault, got->payload);
-    }
-    return fault;
-}
-
 static void an_opening_interlock_darkens_the_microwave_within_one_chip_without_the_core(void)
 {
     for (uint64_t phase = 0; phase < 2500; phase += 37) {
         start_armed(both);
-        EXPECT_EQ(start_train(10000), STATUS_OK);
+        EXPECT_EQ(rig_start_train(10000), STATUS_OK);
         rig_edge(5 * MS);  // the LED shines
         EXPECT_EQ(native_pin(PIN_LED), 1);
         native_stall_cpu(10 * MS);  // the core would be far too late
@@ -57,7 +38,7 @@ static void an_opening_interlock_darkens_the_microwave_within_one_chip_without_t
         native_transition_t late[16];
         EXPECT_EQ(native_pins(late, 16), 0);
         EXPECT(rig_fall(PIN_MICROWAVE, rig_rises(PIN_MICROWAVE) - 1U) <= opens + 50);
-        EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(rig_take_fault().fault, FAULT_INTERLOCK);
         event_burst_done_t done;
         event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
         EXPECT_EQ(done.fault, FAULT_INTERLOCK);
@@ -85,12 +66,12 @@ static void an_open_interlock_refuses_the_microwave_but_not_the_lamps(void)
 static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
 {
     start_armed(both);
-    EXPECT_EQ(start_train(65535), STATUS_OK);
+    EXPECT_EQ(rig_start_train(65535), STATUS_OK);
     native_input(native_tick(), PIN_INTERLOCK, 1);
     rig_pass(1 * MS);
     EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
     EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
-    EXPECT_EQ(start_train(1), STATUS_UNSAFE);
+    EXPECT_EQ(rig_start_train(1), STATUS_UNSAFE);
     native_input(native_tick(), PIN_INTERLOCK, 0);
     rig_pass(1 * MS);
     EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);  // latched
@@ -98,7 +79,7 @@ static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
     EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // nothing is armed by it
     rig_arm(both);
     rig_forget();
-    EXPECT_EQ(start_train(1), STATUS_OK);
+    EXPECT_EQ(rig_start_train(1), STATUS_OK);
     rig_pass(1 * MS);
     EXPECT_EQ(rig_take(EVENT_BURST_DONE)->payload[EVENT_BURST_DONE_LENGTH - 1U], FAULT_NONE);
 }
@@ -123,7 +104,7 @@ static void a_silent_host_disarms_and_latches(void)
         config.host_timeout = timeouts[i];
         rig_configure(&config);
         rig_arm(both);
-        EXPECT_EQ(start_train(65535), STATUS_OK);
+        EXPECT_EQ(rig_start_train(65535), STATUS_OK);
         const uint64_t limit = ((timeouts[i] == 0) ? 500 : timeouts[i]) * MS;
         const uint64_t from = native_tick();
         rig_forget();
@@ -133,7 +114,7 @@ static void a_silent_host_disarms_and_latches(void)
         }
         EXPECT_EQ(rig_count(EVENT_FAULT), 0);
         rig_pass(3 * MS);
-        const event_fault_t fault = take_fault();
+        const event_fault_t fault = rig_take_fault();
         EXPECT_EQ(fault.fault, FAULT_HOST_TIMEOUT);
         EXPECT(fault.detail > limit);
         EXPECT_EQ(native_pin(PIN_LED) + native_pin(PIN_MICROWAVE), 0);
@@ -173,7 +154,7 @@ static void a_silent_host_is_nothing_to_a_controller_at_rest(void)
 static void the_watchdog_restarts_a_hung_controller_dark_and_latched(void)
 {
     start_armed(both);
-    EXPECT_EQ(start_train(65535), STATUS_OK);
+    EXPECT_EQ(rig_start_train(65535), STATUS_OK);
     rig_edge(5 * MS);
     EXPECT_EQ(native_pin(PIN_LED), 1);
     native_stall_cpu(10000 * MS);
@@ -198,7 +179,7 @@ static void a_restart_by_the_watchdog_says_so(void)
     EXPECT_EQ(booted->boot, 2);
     EXPECT_EQ(booted->sequence, 0);
     EXPECT_EQ(booted->payload[0], BOOT_CAUSE_WATCHDOG);
-    EXPECT_EQ(take_fault().fault, FAULT_WATCHDOG);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_WATCHDOG);
 }
 
 static void an_output_the_board_refuses_latches_a_limit_fault(void)
@@ -206,14 +187,14 @@ static void an_output_the_board_refuses_latches_a_limit_fault(void)
     start_armed(ARM_LAMPS);
     native_refuse_next();
     rig_edge(PERIOD);  // the load after this edge is refused, which also ends the flash being timed
-    EXPECT_EQ(take_fault().fault, FAULT_LIMIT);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_LIMIT);
     EXPECT_EQ(rig_status().state & STATE_LAMPS_ARMED, 0);
     rig_edge(PERIOD);
     EXPECT_EQ(rig_rises(PIN_LED), 0);
 
     start_armed(both);
     native_refuse_next();
-    EXPECT_EQ(start_train(1), STATUS_DUTY);
+    EXPECT_EQ(rig_start_train(1), STATUS_DUTY);
     rig_pass(1 * MS);
     EXPECT_EQ(rig_status().fault, FAULT_LIMIT);
     EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
@@ -228,7 +209,7 @@ static void an_interlock_that_opens_while_a_train_is_asked_for_leaves_the_microw
         start_armed(ARM_MICROWAVE);
         const uint64_t opens = native_tick() + after;
         native_input(opens, PIN_INTERLOCK, 1);
-        const uint8_t status = start_train(65535);
+        const uint8_t status = rig_start_train(65535);
         EXPECT((status == STATUS_OK) || (status == STATUS_UNSAFE));
         begun += (status == STATUS_OK) ? 1U : 0U;
         refused += (status == STATUS_UNSAFE) ? 1U : 0U;
@@ -245,7 +226,7 @@ static void an_interlock_that_opens_while_a_train_is_asked_for_leaves_the_microw
 static void the_first_fault_stays_latched(void)
 {
     start_armed(both);
-    EXPECT_EQ(start_train(65535), STATUS_OK);
+    EXPECT_EQ(rig_start_train(65535), STATUS_OK);
     native_input(native_tick(), PIN_INTERLOCK, 1);
     rig_pass(300 * MS);
     EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
@@ -258,7 +239,7 @@ static uint64_t fall_silent(const uint64_t open_interlock)
     uint8_t payload[COMMAND_MOVE_LENGTH];
     command_move_pack(&(command_move_t){.position = 100000, .period = 100000}, payload);
     EXPECT_EQ(rig_status_of(COMMAND_MOVE, payload), STATUS_OK);
-    EXPECT_EQ(start_train(60000), STATUS_OK);
+    EXPECT_EQ(rig_start_train(60000), STATUS_OK);
     rig_forget();
     if (open_interlock != 0U) {
         native_input(native_boot_tick() + open_interlock, PIN_INTERLOCK, 1);
@@ -266,7 +247,7 @@ static uint64_t fall_silent(const uint64_t open_interlock)
     rig_pass(250 * MS);
     const size_t faults = rig_count(EVENT_FAULT);
     EXPECT_EQ(faults, 1);
-    return take_fault().tick;
+    return rig_take_fault().tick;
 }
 
 static void a_fault_is_told_once_and_the_first_stays_with_a_train_and_a_move(void)
@@ -307,7 +288,7 @@ static void outputs_are_armed_one_by_one(void)
 static void a_main_loop_that_is_late_darkens_the_microwave_long_before_the_watchdog(void)
 {
     start_armed(both);
-    EXPECT_EQ(start_train(10000), STATUS_OK);
+    EXPECT_EQ(rig_start_train(10000), STATUS_OK);
     rig_pass(5 * MS);
     rig_look();
     const size_t before = rig_rises(PIN_MICROWAVE);
@@ -318,7 +299,7 @@ static void a_main_loop_that_is_late_darkens_the_microwave_long_before_the_watch
     EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
     EXPECT(rig_rises(PIN_MICROWAVE) > before);
     EXPECT(rig_fall(PIN_MICROWAVE, rig_rises(PIN_MICROWAVE) - 1U) <= late + BOARD_STARVED_MS * MS);
-    EXPECT_EQ(take_fault().fault, FAULT_WATCHDOG);
+    EXPECT_EQ(rig_take_fault().fault, FAULT_WATCHDOG);
     event_burst_done_t done;
     event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
     EXPECT_EQ(done.fault, FAULT_WATCHDOG);

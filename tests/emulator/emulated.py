@@ -31,6 +31,7 @@ from annulus.link.messages import (
     Stage,
     StatusCode,
 )
+from annulus.selftest.rig import promises as promised
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGE = ROOT / "firmware/build/annulus.uf2"
@@ -354,32 +355,9 @@ class EmulatedBoard:
         return [event for event in self.events if isinstance(event, kind)]
 
 
-def configuration(
-    *,
-    ratio: int = 4,
-    period: int = 4_000_000,
-    delay: int = 300_000,
-    width: int = 200_000,
-    led_width: int | None = None,
-    generation: int = 1,
-    host_timeout: int = 0,
-    tolerance: int = 100,
-    readout: int | None = None,
-) -> Stage:
-    """A demo configuration: everything exposes all the time but during the readout, so the window is wide."""
-    return Stage(
-        generation=generation,
-        ratio=ratio,
-        frame_period=period,
-        exposure=period,
-        readout=period // 5 if readout is None else readout,
-        tolerance=tolerance,
-        host_timeout=host_timeout,
-        projector_delay=delay,
-        projector_width=width,
-        led_delay=delay,
-        led_width=width if led_width is None else led_width,
-    )
+def configuration(*, delay: int = 300_000, width: int = 200_000, **changes: int) -> Stage:
+    """As the promises have it, with flashes of a length of their own."""
+    return promised.configuration(delay=delay, width=width, **changes)
 
 
 def arm(board: EmulatedBoard, outputs: ArmFlag = ArmFlag.LAMPS, **changes: int) -> None:

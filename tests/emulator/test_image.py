@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from emulated import (
+    BOOTED,
     LATENCY,
     MS,
     ROOT,
@@ -89,6 +90,8 @@ def test_budgets_hold_and_the_stack_has_room(image: Path, board: EmulatedBoard) 
     longest = board.rounds[0]
     print(f"application {application} of 65536, RAM {ram} of 98304, stack {board.stack} of 1024 bytes")
     print(f"loader {sections['.loader']} of 4096 bytes, longest round {longest / 100:.0f} of 500 us")
+    print(f"the controller's clock starts {board.origin / MS:.1f} ms after power, of {BOOTED / MS:.0f}")
+    assert board.origin <= BOOTED
     assert application <= 64 * 1024
     assert ram <= 96 * 1024
     assert sections[".loader"] <= 4096

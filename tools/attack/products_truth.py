@@ -5,7 +5,15 @@ and a measurement forbid what they must and say what they cost.
 from bisect import bisect_left, bisect_right
 from itertools import pairwise
 
-from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, PIN_CAMERA_TRIGGER, PIN_INTERLOCK, PIN_MICROWAVE, PIN_TRIGGER
+from annulus.controller import (
+    CAMERA_TRIGGER_MIN_TICKS,
+    PIN_CAMERA_TRIGGER,
+    PIN_INTERLOCK,
+    PIN_MICROWAVE,
+    PIN_TRIGGER,
+    UPDATE_CHUNK_BYTES,
+    UPDATE_SILENCE_MS,
+)
 from annulus.link.messages import (
     Arm,
     CameraTrigger,
@@ -37,11 +45,10 @@ LATCHING = {
     FaultCode.LIMIT,
     FaultCode.INTERLOCK_DISAGREES,
 }
-CHUNK = 32
 SEEN = 4  # ticks that an interlock must be open for hardware to see it; shorter, the core cuts within a round
 CUT = 10  # ticks from then to the gate low; a chip is at least as long
 SETTLED = 40  # ticks by which an edge and a transition of the odometer may change places
-UPDATE_SILENCE = 5000 * MS
+UPDATE_SILENCE = UPDATE_SILENCE_MS * MS
 
 
 def accepted(asked: Asked) -> bool:
@@ -162,7 +169,7 @@ def update(kept: Kept) -> None:
             begun = None
         elif isinstance(asked.reply, UpdateDataReply) and isinstance(asked.command, UpdateData) and begun:
             insist(accepted(asked), f"a chunk in its turn refused: {asked.reply}", asked.sent)
-            after = asked.command.offset + CHUNK
+            after = asked.command.offset + UPDATE_CHUNK_BYTES
             insist(asked.reply.next == after, f"chunk {asked.command.offset} taken, next is {asked.reply}", asked.sent)
         elif begun and asked.sent > begun.answered and asked.answered < begun.answered + UPDATE_SILENCE:
             live = isinstance(asked.command, Move) or (isinstance(asked.command, Arm) and bool(asked.command.outputs))

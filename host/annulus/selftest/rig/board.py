@@ -56,7 +56,7 @@ class Played:
     transitions: list[EdgeIn] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     replies: list[Reply | None] = field(default_factory=list)  # to the orders
-    origin: float | None = None  # the controller's count at tick 0; None: no edge told it
+    origin: float | None = None  # the controller's count at tick 0; None: no edge reported it
 
     def rises(self, pin: int) -> list[float]:
         return [tick for tick, p, level in self.transitions if p == pin and level]
@@ -79,8 +79,8 @@ class Played:
         return [event for event in self.events if isinstance(event, kind)]
 
     def tick_of(self, count: int) -> float:
-        """Tick in this scene of a time the controller told."""
-        assert self.origin is not None, "no edge of the sync input told when the scene began"
+        """Tick in this scene of a time the controller reported."""
+        assert self.origin is not None, "no edge of the sync input reported when the scene began"
         return (count - self.origin + 2**31) % 2**32 - 2**31
 
 

@@ -132,8 +132,8 @@ def lamps_come_in_their_order(board: Board) -> str:
         pins = [pin for _, pin in lit(played)]
         letters = "".join("L" if pin == PIN_LED else "P" for pin in pins)
         expect(pins == expected, f"ratio {ratio}: {letters}")
-        told = [PIN_LED if edge.lamp is Lamp.LED else PIN_PROJECTOR for edge in played.heard(Edge)]
-        expect(told == expected, f"ratio {ratio}: the events tell otherwise")
+        reported = [PIN_LED if edge.lamp is Lamp.LED else PIN_PROJECTOR for edge in played.heard(Edge)]
+        expect(reported == expected, f"ratio {ratio}: the events tell otherwise")
         expect(
             [e.slot for e in played.heard(Edge)] == [i % (ratio + 1) for i in range(len(edges))],
             f"ratio {ratio}: slots",
@@ -146,9 +146,9 @@ def an_edge_is_stamped_to_the_tick_or_the_next(board: Board) -> str:
     configure(board, period=1_000_000)
     edges = [2 * MS + i * 1_000_007 + i * 7 % 13 for i in range(24)]
     played = board.play(Scene(until=edges[-1] + MS, edges=camera(edges)))
-    told = played.heard(Edge)
-    expect(len(told) == len(edges), f"{len(told)} of {len(edges)} edges told")
-    off = [played.tick_of(e.tick) - fall for e, fall in zip(told, played.falls_played(PIN_SYNC), strict=True)]
+    reported = played.heard(Edge)
+    expect(len(reported) == len(edges), f"{len(reported)} of {len(edges)} edges reported")
+    off = [played.tick_of(e.tick) - fall for e, fall in zip(reported, played.falls_played(PIN_SYNC), strict=True)]
     seen = f"apart by {max(off) - min(off):.1f} at most"
     expect(max(off) - min(off) <= 1 + board.slack(edges[-1]), seen)
     return f"{seen}, {len(off)} edges"
@@ -169,10 +169,10 @@ def glitches_are_refused_and_counted(board: Board) -> str:
     falls = played.falls_played(PIN_SYNC)
     seen = follows(board, [t for t, _ in lit(played)], [min(falls, key=lambda f: abs(f - e)) for e in edges], 300_000)
     refused = rejected(board) - before
-    told = played.heard(Edge)
-    expect(len(told) == count, f"{len(told)} edges told of {count}")
+    reported = played.heard(Edge)
+    expect(len(reported) == count, f"{len(reported)} edges reported of {count}")
     expect(refused == extra, f"{refused} of {extra} counted")
-    expect(not any(e.flags & EdgeFlag.LATE_LOAD for e in told), "a flash came late")
+    expect(not any(e.flags & EdgeFlag.LATE_LOAD for e in reported), "a flash came late")
     return f"{refused} of {extra} refused; {seen}"
 
 
@@ -252,30 +252,32 @@ def an_edge_in_the_middle_of_a_round_is_no_lost_sync(board: Board) -> str:
     edges = [2 * MS + i * FAST + rng.randrange(-4_000, 4_000) for i in range(200)]
     played = board.play(Scene(until=edges[-1] + MS, edges=camera(edges)))
     last = max((i for i, event in enumerate(played.events) if isinstance(event, Edge)), default=0)
-    told = len(played.heard(Edge))
+    reported = len(played.heard(Edge))
     lost = sum(isinstance(event, SyncLost) for event in played.events[:last])  # after the last it is right
-    seen = f"{told} of {len(edges)} told, {lost} sync_lost"
-    expect(told == len(edges) and lost == 0 and len(played.heard(SyncFound)) <= 1, seen)
+    seen = f"{reported} of {len(edges)} reported, {lost} sync_lost"
+    expect(reported == len(edges) and lost == 0 and len(played.heard(SyncFound)) <= 1, seen)
     return seen
 
 
-@promised("Optical preamble of 10 edges, then the cycle", "pins as told, in their sequence", PIN_SYNC, *LAMPS, unit="")
+@promised(
+    "Optical preamble of 10 edges, then the cycle", "pins as reported, in their sequence", PIN_SYNC, *LAMPS, unit=""
+)
 def a_preamble_lights_what_it_tells(board: Board) -> str:
     delay, width, frame = 300_000, 200_000, 1_000_000
     configure(board, ratio=4, period=frame, delay=delay, width=width)
     ok(board, Preamble(10, 2, 0), Arm(ArmFlag.LAMPS))
     edges = frames(25, frame)
     played = board.play(Scene(until=int(edges[-1]) + frame, edges=camera(edges), watch=LAMPS))
-    told = played.heard(Edge)
-    expect(len(told) == len(edges), f"{len(told)} of {len(edges)} edges told")
+    reported = played.heard(Edge)
+    expect(len(reported) == len(edges), f"{len(reported)} of {len(edges)} edges reported")
     for pin, lamp in ((PIN_PROJECTOR, Lamp.PROJECTOR), (PIN_LED, Lamp.LED)):
-        at = [f for f, e in zip(played.falls_played(PIN_SYNC), told, strict=True) if e.lamp is lamp]
+        at = [f for f, e in zip(played.falls_played(PIN_SYNC), reported, strict=True) if e.lamp is lamp]
         follows(board, played.rises(pin), at, delay)
-    places = [(EdgeFlag.PREAMBLE in e.flags, e.slot) for e in told]
+    places = [(EdgeFlag.PREAMBLE in e.flags, e.slot) for e in reported]
     first = [(True, i) for i in range(10)] + [(False, i % 5) for i in range(10)] + [(True, i) for i in range(5)]
     expect(places == first, "its edges or the cycle's are out of place")
-    expect(_in_sequence(told), "lamps in no order of the sequence")
-    return "25 edges as told"
+    expect(_in_sequence(reported), "lamps in no order of the sequence")
+    return "25 edges as reported"
 
 
 @promised("Preamble: ratio 0, and who identifies", "no projector; and none any more", PIN_SYNC, *LAMPS, unit="")
@@ -297,10 +299,10 @@ def a_preamble_leaves_the_projector_out_and_ends_with_its_host(board: Board) -> 
     return "12 edges without projector; 4 without a preamble"
 
 
-def _in_sequence(told: list[Edge]) -> bool:
+def _in_sequence(reported: list[Edge]) -> bool:
     """Lamps of preambles, two bits an edge of a register of 15, from some state of it on."""
     lamps = (Lamp.PROJECTOR, Lamp.LED, Lamp.DARK, Lamp.PROJECTOR)
-    wanted = [edge.lamp for edge in told if EdgeFlag.PREAMBLE in edge.flags]
+    wanted = [edge.lamp for edge in reported if EdgeFlag.PREAMBLE in edge.flags]
     for seed in range(1, 1 << 15):
         bits = seed
         for lamp in wanted:
@@ -345,11 +347,11 @@ def a_commit_takes_force_at_slot_0(board: Board) -> str:
     edges = frames(60, FAST)
     scene = Scene(until=int(edges[-1]) + FAST, edges=camera(edges), watch=LAMPS, orders=[(20 * MS, Commit(2))])
     played = board.play(scene)
-    told = played.heard(Edge)
-    expect(len(told) == len(edges), f"{len(told)} of {len(edges)} edges told")
-    fresh = [e.generation == 2 for e in told]
+    reported = played.heard(Edge)
+    expect(len(reported) == len(edges), f"{len(reported)} of {len(edges)} edges reported")
+    fresh = [e.generation == 2 for e in reported]
     begins = fresh.index(True) if True in fresh else -1
-    expect(begins > 0 and all(fresh[begins:]) and told[begins].slot == 0, f"in force at edge {begins}")
+    expect(begins > 0 and all(fresh[begins:]) and reported[begins].slot == 0, f"in force at edge {begins}")
     delays = [35_000 if f else 30_000 for f in fresh]
     beyond = [r - e - d for (r, _), e, d in zip(lit(played), played.falls_played(PIN_SYNC), delays, strict=True)]
     seen = f"delay + {span(beyond)}"

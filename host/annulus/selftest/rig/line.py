@@ -25,9 +25,9 @@ def every_edge_is_told_once_and_in_order(board: Board) -> str:
     configure(board, period=200_000)
     edges = frames(60, 200_000)
     played = board.play(Scene(until=int(edges[-1]) + 5 * MS, edges=camera(edges), flood=True))
-    told = [edge.edge for edge in played.heard(Edge)]
-    seen = f"{len(told)} of {len(edges)}"
-    expect(len(told) == len(edges) and all(b == a + 1 for a, b in itertools.pairwise(told)), seen)
+    reported = [edge.edge for edge in played.heard(Edge)]
+    seen = f"{len(reported)} of {len(edges)}"
+    expect(len(reported) == len(edges) and all(b == a + 1 for a, b in itertools.pairwise(reported)), seen)
     return seen
 
 

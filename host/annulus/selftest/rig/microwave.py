@@ -79,7 +79,7 @@ def _codes(board: Board, codes: list[BurstCode], offsets: list[int]) -> str:
             all_near(board, played.widths(PIN_TRIGGER), TRIGGER_TICKS), f"trigger {span(played.widths(PIN_TRIGGER))}"
         )
         done = [d.done for d in played.heard(BurstDone)]
-        expect(done == [3], f"{code.name.lower()}: bursts told {done}")
+        expect(done == [3], f"{code.name.lower()}: bursts reported {done}")
     return f"{len(codes)} codes chip by chip, trigger off by {worst:.1f}"
 
 
@@ -99,7 +99,7 @@ def _pulse(board: Board, chip: int) -> str:
     gaps = [b - a for a, b in itertools.pairwise(rises)]
     expect(all_near(board, gaps, 100_000), f"{seen}, period {span(gaps)}")
     done = [d.done for d in played.heard(BurstDone)]
-    expect(done == [count], f"{seen}, told {done}")
+    expect(done == [count], f"{seen}, reported {done}")
     return seen
 
 
@@ -157,7 +157,7 @@ def a_train_begins_when_its_reply_says(board: Board) -> str:
     return f"{off:+.1f} off"
 
 
-@promised("A train told to stop, at six moments", "whole bursts, all counted", *BOTH, unit="bursts")
+@promised("A train asked to stop, at six moments", "whole bursts, all counted", *BOTH, unit="bursts")
 def a_stopped_train_sends_whole_bursts_and_says_how_many(board: Board) -> str:
     arm(board, ArmFlag.MICROWAVE)
     rng = random.Random(7)
@@ -170,7 +170,7 @@ def a_stopped_train_sends_whole_bursts_and_says_how_many(board: Board) -> str:
         )
         done = [d.done for d in played.heard(BurstDone)]
         rises, triggers = len(played.widths(PIN_MICROWAVE)), len(played.widths(PIN_TRIGGER))
-        expect(len(done) == 1, f"told {done}")
+        expect(len(done) == 1, f"reported {done}")
         expect(rises == 7 * done[0], f"{rises} pulses in place of {7 * done[0]}")
         expect(triggers == done[0], f"{triggers} triggers of {done[0]} bursts")
         expect(
@@ -249,13 +249,15 @@ def a_cut_train_counts_the_bursts_that_were_sent(board: Board) -> str:
             edges=[(opens, PIN_INTERLOCK, 1), (opens + 100_000, PIN_INTERLOCK, 0)],
         )  # fmt: skip
         played = board.play(scene)
-        told = played.heard(BurstDone)
+        reported = played.heard(BurstDone)
         whole = sum(abs(width - 500) <= board.slack() for width in played.widths(PIN_MICROWAVE))
-        expect(len(told) == 1 and told[0].fault is FaultCode.INTERLOCK, f"told {[d.done for d in told]}")
-        expect(told[0].done == whole, f"{told[0].done} told, {whole} sent whole")
+        expect(
+            len(reported) == 1 and reported[0].fault is FaultCode.INTERLOCK, f"reported {[d.done for d in reported]}"
+        )
+        expect(reported[0].done == whole, f"{reported[0].done} reported, {whole} sent whole")
         counted.append(whole)
         ok(board, Clear())
-    return f"{', '.join(map(str, counted))}, told alike"
+    return f"{', '.join(map(str, counted))}, reported alike"
 
 
 @promised("Arming with the interlock open", "refused", PIN_INTERLOCK, unit="")

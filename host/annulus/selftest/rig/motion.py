@@ -67,10 +67,10 @@ def status(board: Board) -> StatusReply:
 
 
 def stands(played: Played) -> int:
-    """The position it told when it stood."""
-    told = [done.position for done in played.heard(TurntableDone)]
-    expect(len(told) == 1, f"turntable_done told {len(told)} times")
-    return told[0]
+    """The position it reported when it stood."""
+    reported = [done.position for done in played.heard(TurntableDone)]
+    expect(len(reported) == 1, f"turntable_done reported {len(reported)} times")
+    return reported[0]
 
 
 def gaps(played: Played) -> list[float]:
@@ -132,9 +132,9 @@ def a_stop_brakes_along_the_ramp(board: Board) -> str:
     orders = [(MS // 2, Move(position=at + 50_000, period=FAST, hold=0)), (stop_at, TurntableStop())]
     played = board.play(Scene(until=stop_at, watch=(PIN_STEP,), orders=orders, after=300 * MS))
     made = len(played.rises(PIN_STEP))
-    told = played.heard(TurntableStopped)
-    expect(stands(played) == at + made, f"told {stands(played) - at} steps, {made} made")
-    expect(len(told) == 1 and (told[0].cause, told[0].lost) == (StopCause.STOPPED, 0), "no stop told")
+    reported = played.heard(TurntableStopped)
+    expect(stands(played) == at + made, f"reported {stands(played) - at} steps, {made} made")
+    expect(len(reported) == 1 and (reported[0].cause, reported[0].lost) == (StopCause.STOPPED, 0), "no stop reported")
     between = gaps(played)
     last_fast = max(i for i, gap in enumerate(between) if gap <= min(between) + MET)
     braking = ((TICK_HZ / min(between)) ** 2 - (TICK_HZ / START) ** 2) / (2 * STEEP)
@@ -157,10 +157,10 @@ def _end_switch(board: Board, sign: int, pin: int, cause: StopCause) -> str:
     )  # fmt: skip
     played = board.play(scene)
     made = len(played.rises(PIN_STEP))
-    expect(stands(played) == at + sign * made, f"told {abs(stands(played) - at)} steps, {made} made")
+    expect(stands(played) == at + sign * made, f"reported {abs(stands(played) - at)} steps, {made} made")
     late = sum(tick > touched + ROUND for tick in played.rises(PIN_STEP))
-    told = played.heard(TurntableStopped)
-    expect(len(told) == 1 and told[0].cause is cause and told[0].lost == 1, "no end switch told")
+    reported = played.heard(TurntableStopped)
+    expect(len(reported) == 1 and reported[0].cause is cause and reported[0].lost == 1, "no end switch reported")
     expect(late <= UNDER_WAY, f"{late} steps after it and a round")
     return f"{late} steps after it"
 
@@ -219,7 +219,7 @@ def an_opened_interlock_ends_motion_and_takes_its_power(board: Board) -> str:
     off = enable[-1][0] - opens if enable else math.inf
     seen = f"last step {last / MS:+.3f}, ENABLE high {off / MS:+.3f}"
     expect(last <= ROUND and bool(enable) and enable[-1][1] == 1 and 0 < off <= ROUND + STAMP, seen)
-    expect(stands(played) == at + len(played.rises(PIN_STEP)), f"{seen}; told another position")
+    expect(stands(played) == at + len(played.rises(PIN_STEP)), f"{seen}; reported another position")
     faults = [fault.fault for fault in played.heard(Fault)]
     expect(faults == [FaultCode.INTERLOCK], f"{seen}; faults {faults}")
     expect(board.request(Move(at, 20_000, 0)).status is StatusCode.UNSAFE, f"{seen}; moves again without a clear")
@@ -229,7 +229,7 @@ def an_opened_interlock_ends_motion_and_takes_its_power(board: Board) -> str:
 
 @promised("A host that falls silent while it moves", "no step after 500 ms and a round", PIN_STEP, unit="ms")
 def a_silent_host_ends_motion(board: Board) -> str:
-    configure(board)  # with the host timeout there is unless another is told
+    configure(board)  # with the host timeout there is unless another is given
     ok(board, turntable())
     at = status(board).turntable
     move = Move(position=at + 100_000, period=FAST, hold=0)
@@ -239,7 +239,7 @@ def a_silent_host_ends_motion(board: Board) -> str:
     seen = f"{lasted:.1f} from its first step to its last"
     expect(400 < lasted <= 500 + ROUND / MS, seen)
     expect([f.fault for f in played.heard(Fault)] == [FaultCode.HOST_TIMEOUT], f"{seen}; no host_timeout")
-    expect(stands(played) == at + len(rises), f"{seen}; told another position")
+    expect(stands(played) == at + len(rises), f"{seen}; reported another position")
     return seen
 
 
@@ -251,12 +251,12 @@ def disarming_brakes_a_move(board: Board) -> str:
     orders = [(MS // 2, Move(position=at - 50_000, period=FAST, hold=0)), (told_at, Arm(ArmFlag(0)))]
     played = board.play(Scene(until=told_at, watch=(PIN_STEP,), orders=orders, after=300 * MS))
     made = len(played.rises(PIN_STEP))
-    expect(stands(played) == at - made, f"told {at - stands(played)} steps, {made} made")
-    told = played.heard(TurntableStopped)
-    expect(len(told) == 1 and (told[0].cause, told[0].lost) == (StopCause.STOPPED, 0), "no stop told")
+    expect(stands(played) == at - made, f"reported {at - stands(played)} steps, {made} made")
+    reported = played.heard(TurntableStopped)
+    expect(len(reported) == 1 and (reported[0].cause, reported[0].lost) == (StopCause.STOPPED, 0), "no stop reported")
     last = gaps(played)[-1]
     expect(last >= 0.6 * START, f"last interval {last:.0f}: it did not brake")
-    return f"{made} of 50000, all told"
+    return f"{made} of 50000, all reported"
 
 
 @promised("End switches that are not configured", "not looked at", PIN_STEP, PIN_END_LOW, PIN_END_HIGH, unit="steps")
@@ -366,7 +366,7 @@ def there_and_back_reads_zero(board: Board) -> str:
 
 @promised(
     "Both lines at once, 30 times",
-    "30 counted as impossible, told without a flood",
+    "30 counted as impossible, reported without a flood",
     PIN_ODOMETER_A,
     PIN_ODOMETER_B,
     unit="counts",
@@ -382,8 +382,8 @@ def lines_that_change_together_are_counted(board: Board) -> str:
         edges += cable.step(MS + i * MS, 2)
     played = board.play(Scene(until=140 * MS, edges=edges))
     counted = impossible() - before
-    told = [fault for fault in played.heard(Fault) if fault.fault is FaultCode.ODOMETER]
-    seen = f"{counted} counted, {len(told)} times told"
-    expect(counted == 30 and 1 <= len(told) <= 3, seen)
+    reported = [fault for fault in played.heard(Fault) if fault.fault is FaultCode.ODOMETER]
+    seen = f"{counted} counted, {len(reported)} times reported"
+    expect(counted == 30 and 1 <= len(reported) <= 3, seen)
     expect(status(board).odometer == begins, f"{seen}; the place moved")
     return seen

@@ -195,14 +195,14 @@ class RigBoard:
         at = [MS, (1 + COMPARED_MS) * MS]
         edges = [item for tick in at for item in ((tick, PIN_SYNC, 0), (tick + 100 * 100, PIN_SYNC, 1))]
         played = self.play(Scene(until=at[-1] + 5 * MS, edges=edges))
-        told = [event.tick for event in played.heard(Edge)]
-        if len(told) != 2:
+        reported = [event.tick for event in played.heard(Edge)]
+        if len(reported) != 2:
             raise AnnulusError(
-                f"{self.device}: {len(told)} of 2 edges of the sync input were told, expected both."
+                f"{self.device}: {len(reported)} of 2 edges of the sync input were reported, expected both."
                 " Is the jumper of GP2 (pin 4) there, and is the port this board's?"
             )
         falls = played.falls_played(PIN_SYNC)
-        self.ratio = (falls[1] - falls[0]) / ((told[1] - told[0]) % 2**32)
+        self.ratio = (falls[1] - falls[0]) / ((reported[1] - reported[0]) % 2**32)
         if abs(self.ppm) > PPM_MAX:
             raise AnnulusError(
                 f"the controller's time stamps and the rig's clock differ by {self.ppm:.0f} ppm, expected"
@@ -306,14 +306,14 @@ def _first_rise(transitions: Sequence[EdgeIn], pin: int | None) -> float:
 
 
 def origin_of(played: Played) -> float | None:
-    """The controller's count at tick 0, by the stamps of edges it told: those of one pairing that fits all of them."""
-    told = [event.tick for event in played.heard(Edge)]
+    """The controller's count at tick 0, by the stamps of its edges: those of one pairing that fits all."""
+    reported = [event.tick for event in played.heard(Edge)]
     falls = played.falls_played(PIN_SYNC)
-    if not told:
+    if not reported:
         return None
-    since = [(tick - told[0] + 2**31) % 2**32 - 2**31 for tick in told]
+    since = [(tick - reported[0] + 2**31) % 2**32 - 2**31 for tick in reported]
     for first in falls:
         off = [min((first + s - fall for fall in falls), key=abs) for s in since]
         if all(abs(o) <= STAMP_OFF for o in off):
-            return told[0] - first - statistics.median(off)
+            return reported[0] - first - statistics.median(off)
     return None

@@ -65,7 +65,7 @@ def configuration(
     tolerance: int = 100,
     readout: int | None = None,
 ) -> Stage:
-    """Everything exposes all the time but during the readout, so the window is wide. Flashes that fit, unless told."""
+    """Everything exposes all the time but during the readout, so the window is wide. Flashes that fit, unless given."""
     delay = min(300_000, period // 8) if delay is None else delay
     width = min(200_000, period // 10) if width is None else width
     return Stage(
@@ -84,7 +84,7 @@ def configuration(
 
 
 def configure(board: Board, *, generation: int = 1, **changes: int) -> None:
-    """No preambles: a board that was used before may have been told of some."""
+    """No preambles: a board that was used before may have some."""
     ok(board, configuration(generation=generation, **changes), Commit(generation), Preamble(0, 0, 0))
 
 

@@ -6,7 +6,7 @@ from annulus.selftest.rig.board import EdgeIn
 from annulus.selftest.rig.wire import FALL_DEAD, GAP_MIN, LIST_FIRST_PIN, RISE_DEAD, SAMPLED_AT, TRACK_AT
 
 GAP_MAX = GAP_MIN + 2**18 - 1
-FIRST_LOOK = TRACK_AT + 1  # a rise told there is no change: the pin was high
+FIRST_LOOK = TRACK_AT + 1  # a rise reported there is no change: the pin was high
 
 
 def track(words: Sequence[int], odd: bool) -> list[tuple[int, int]]:

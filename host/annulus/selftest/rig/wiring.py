@@ -1,5 +1,5 @@
 """Which jumpers are there, and which go to the wrong pin: found out before anything is judged. A firmware that swaps
-two outputs cannot be told from two jumpers that are crossed.
+two outputs cannot be reported from two jumpers that are crossed.
 
 Each of the controller's outputs is made to move in a way of its own, and the rig says which of its pins moved; each of
 its inputs is moved by the rig, and the controller says what it noticed.
