@@ -183,7 +183,6 @@ void board_interlock_watch(const bool second)
 {
     time_pass();
     antivalent = second;
-    interlock_tripped = false;
 }
 
 uint8_t board_interlock(void)

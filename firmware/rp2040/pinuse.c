@@ -152,7 +152,6 @@ void board_interlock_watch(const bool second)
 {
     irq_disable(IRQ_IO_BANK0);
     antivalent = second;
-    interlock_opened = false;
     REGISTER(IO_INTR1) = ANTIVALENT_LOW;
     REGISTER(IO_PROC0_INTE1) = (REGISTER(IO_PROC0_INTE1) & (END_LOW | END_HIGH)) | (second ? ANTIVALENT_LOW : 0U);
     irq_enable(IRQ_IO_BANK0);

@@ -133,8 +133,32 @@ static void the_interlocks_inputs_are_chosen_at_rest_by_who_commands(void)
     EXPECT_EQ(inputs_now(), 0);
 }
 
+// At every moment of the round that carries the command out: it forgot an opening that had come since the round began,
+// and a motor that is held kept its power.
+static void an_opening_beside_the_command_takes_a_held_motors_power_however_short(void)
+{
+    uint8_t move[COMMAND_MOVE_LENGTH];
+    command_move_pack(&(command_move_t){.position = 3, .period = 20000, .hold = 1}, move);
+    for (uint64_t phase = 0; phase < 24U * US; phase += 23U) {
+        rig_start();
+        native_input(native_tick(), PIN_INTERLOCK_ANTIVALENT, 1);
+        EXPECT_EQ(rig_status_of(COMMAND_MOVE, move), STATUS_OK);
+        rig_pass(20 * MS);
+        EXPECT_EQ(native_pin(PIN_ENABLE), 0);
+        const uint64_t round = native_tick() + 200U * US;
+        native_stall_cpu(200U * US);
+        native_input(round + phase, PIN_INTERLOCK, 1);
+        native_input(round + phase + 10U, PIN_INTERLOCK, 0);
+        rig_send(COMMAND_INTERLOCK, 0x81, &second);
+        rig_pass(MS);
+        EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(native_pin(PIN_ENABLE), 1);
+    }
+}
+
 void interlock_tests(void)
 {
+    RUN(an_opening_beside_the_command_takes_a_held_motors_power_however_short);
     RUN(either_input_of_the_interlock_cuts_the_microwave_without_the_core);
     RUN(inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_own);
     RUN(a_contradiction_behind_another_fault_is_told_and_holds_up_clear);
