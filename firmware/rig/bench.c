@@ -132,27 +132,6 @@ static uint32_t tick_now(void)
 
 // ---- pins ----
 
-void pin_use(const uint32_t pin, const uint32_t function, const uint32_t pad)
-{
-    REGISTER(PAD(pin)) = pad;
-    REGISTER(GPIO_CTRL(pin)) = function;
-}
-
-void pio_load(const uint32_t pio, const uint32_t first, const uint16_t* const program, const uint32_t length)
-{
-    for (uint32_t i = 0; i < length; i++) {
-        REGISTER(PIO_MEMORY(pio, first + i)) = program[i];
-    }
-}
-
-void dma_stop(const uint32_t channel)
-{
-    REGISTER(DMA_CTRL(channel)) = 0U;
-    REGISTER(DMA_ABORT) = 1U << channel;
-    while ((REGISTER(DMA_CTRL(channel)) & DMA_BUSY) != 0U) {
-    }
-}
-
 static void force(const uint32_t instruction)
 {
     REGISTER(PIO_INSTRUCTION(PIO0, PLAYER_MACHINE)) = instruction;

@@ -79,10 +79,6 @@ uint16_t link_crc(const uint8_t* const bytes, const size_t size, const uint8_t l
 }
 
 // Which board carries it is not asked, so that USB is used as it comes.
-void variant_prepare(void)
-{
-}
-
 bool variant_vbus(void)
 {
     return true;
@@ -122,10 +118,12 @@ __attribute__((noreturn)) void reset_handler(void)
     }
     start_peripherals();
     identity_start();
+    serial_number_start();
     reset_start();
     bench_start();
     lines_start();
     time_start();
+    sleep_start();
     usb_start();
     for (;;) {
         board_watchdog_kick();
@@ -133,7 +131,7 @@ __attribute__((noreturn)) void reset_handler(void)
         talk_run();
         usb_run();
         if (!lines_waiting() && !talk_is_busy()) {
-            time_sleep();
+            sleep_round();
         }
     }
 }

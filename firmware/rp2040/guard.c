@@ -117,8 +117,9 @@ void guard_cut(void)
     REGISTER(PIO_MEMORY(PIO1, guard->watch)) = JMP_PIN(GUARD_CUT);
 }
 
-void guard_watch(const bool antivalent)
+void board_interlock_watch(const bool antivalent)
 {
+    pinuse_watch_interlock(antivalent);
     guard = antivalent ? &guard_two : &guard_one;
     // A spent credit's way to the next one leads through here; GUARD stands at GUARD_CUT and does not come by.
     REGISTER(PIO_MEMORY(PIO1, GUARD_WATCH)) = antivalent ? JMP(GUARD_BOTH) : JMP_PIN(GUARD_CUT);

@@ -12,6 +12,7 @@
 
 // In the order in which they must be called after reset.
 void identity_start(void);
+void serial_number_start(void);
 void reset_start(void);   // the watchdog
 void pinuse_start(void);  // pins at rest, and which board this is
 void lines_start(void);   // the UART
@@ -29,7 +30,8 @@ void pinuse_darken(void);
 void outputs_off(void);
 
 // Until something happens, 100 us at most.
-void time_sleep(void);
+void sleep_start(void);
+void sleep_round(void);
 
 // Write a register, and the tick two before: nothing comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);
@@ -37,7 +39,7 @@ uint32_t time_of_write(uint32_t address, uint32_t value);
 // The application itself: what the loader handed over, and, a little each round, whether it is still what was flashed.
 extern const uint8_t image_start[];
 void image_begin(uint32_t mark, uint32_t handover);
-void image_run(void);
+void image_run(bool flash_is_free);
 uint32_t image_slot(void);
 uint32_t image_record(void);  // page of the newest record, or RECORD_PAGES
 bool image_confirmed(void);   // was it on trial until now?
@@ -47,13 +49,12 @@ bool staging_is_idle(void);   // nobody is waiting for the flash
 bool lines_waiting(void);
 
 // GUARD, which cuts the microwave (guard.c): loaded and cutting; let go, with a credit; another credit when one was
-// taken; made to cut; with a second input of the interlock or without, while it cuts. When it cut by its own count, and
-// whether for want of a credit: not while a machine that drives the pins runs.
+// taken; made to cut. When it cut by its own count, and whether for want of a credit: not while a machine that drives
+// the pins runs.
 void guard_load(void);
 void guard_start(void);
 void guard_feed(void);
 void guard_cut(void);
-void guard_watch(bool antivalent);
 bool guard_is_cutting(void);
 uint32_t guard_cut_tick(bool* starved);
 
@@ -67,6 +68,9 @@ bool microwave_hurries(void);
 
 // An interlock or VBUS went since this was last asked: the round under way may have looked before.
 bool pinuse_hurries(void);
+
+// Count the interlock's openings, those of its second input too or not.
+void pinuse_watch_interlock(bool antivalent);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
@@ -84,10 +88,10 @@ volatile uint32_t* odometer_lend(void);
 
 // Which board carries the chip. VBUS: never gone where nothing senses it; once it was, however briefly, gone until
 // `variant_vbus_back` is asked and it is there. From the pins' interrupt: an edge of it.
-void variant_prepare(void);  // first of all: a divider has to settle
+void variant_prepare(void);  // before identity_start: a divider has to settle
 void variant_start(void);
 bool variant_senses_vbus(void);
-void variant_vbus_edge(bool fell);
+void variant_vbus_gone(void);
 bool variant_vbus(void);
 bool variant_vbus_back(void);
 
@@ -161,7 +165,8 @@ enum {
     DMA_STEPS = 5,
     DMA_ODOMETER_AGAIN = 6,
     DMA_CAMERA = 7,
-    DMA_CAMERA_AGAIN = 8
+    DMA_CAMERA_AGAIN = 8,
+    DMA_CHANNELS
 };
 enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2, CAMERA_MACHINE = 3 };        // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1

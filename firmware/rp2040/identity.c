@@ -1,4 +1,4 @@
-// Who this board is: its boot byte, why it started, its name and its serial number.
+// Who this board is: its boot byte, why it started, and its name.
 
 #include "../board.h"
 #include "../core/link.h"
@@ -10,7 +10,6 @@
 static uint8_t boot;
 static uint8_t cause;
 static uint32_t nonce;
-static uint8_t serial_number[17];
 
 // Bits of the ring oscillator are neither fair nor independent. One is taken every microsecond, some six of its turns
 // after the last, and 256 of them are folded into 16.
@@ -65,27 +64,9 @@ const uint8_t* board_name(void)
     return name;
 }
 
-static void find_serial_number(void)
-{
-    static const uint8_t digits[] = "0123456789ABCDEF";
-    uint32_t id[8];
-    unique_id(id);
-    for (uint32_t i = 0; i < 8U; i++) {
-        serial_number[2U * i] = digits[(id[i] >> 4) & 0xFU];
-        serial_number[2U * i + 1U] = digits[id[i] & 0xFU];
-    }
-}
-
-const uint8_t* board_serial_number(void)
-{
-    return serial_number;
-}
-
 void identity_start(void)
 {
-    variant_prepare();  // settles while random bits are waited for
     nonce = random_16();
     nonce = (nonce << 16) | random_16();
     find_cause();
-    find_serial_number();
 }

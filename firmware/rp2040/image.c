@@ -57,12 +57,12 @@ void image_begin(const uint32_t mark, const uint32_t handover)
     image.crc = CRC32_BEGIN;
 }
 
-void image_run(void)
+void image_run(const bool flash_is_free)
 {
     const uint32_t size = (uint32_t)((uintptr_t)&image_crc - (uintptr_t)image_start);
     const uint32_t left = size - image.at;
     const uint32_t bytes = (left < LOOK_BYTES) ? left : LOOK_BYTES;
-    if (image.in_flash && staging_is_idle()) {
+    if (image.in_flash && flash_is_free) {
         uint32_t words[LOOK_BYTES / 4U];
         flash_read(SLOT_AT(image.state.slot) + image.at, words, bytes / 4U);
         image.crc = crc32_add(image.crc, (const uint8_t*)words, bytes);

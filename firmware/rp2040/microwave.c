@@ -90,16 +90,6 @@ void board_microwave_feed(void)
     duty_run(&owed, board_tick());
 }
 
-// With the one it is chained to, if there is one: an aborted channel may trigger that (erratum RP2350-E5).
-void dma_stop(const uint32_t channel)
-{
-    CLEAR_BITS(DMA_CTRL(channel)) = DMA_ENABLE;
-    CLEAR_BITS(DMA_CTRL(DMA_CHAINED(REGISTER(DMA_CTRL(channel))))) = DMA_ENABLE;
-    REGISTER(DMA_ABORT) = 1U << channel;
-    while ((REGISTER(DMA_CTRL(channel)) & DMA_BUSY) != 0U) {
-    }
-}
-
 // They drive nothing any more. Before an instruction is forced upon GUARD: it takes the place of the one that drives
 // the pins low (datasheet 3.5.7), and a rise in that very cycle would reach the pin.
 static void halt_players(void)

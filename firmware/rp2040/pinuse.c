@@ -31,19 +31,6 @@ static volatile uint32_t ends_touched;
 #define VBUS_EDGES (EDGE_LOW(PIN_VBUS - 24U) | EDGE_HIGH(PIN_VBUS - 24U))
 #define ANTIVALENT_LOW EDGE_LOW(PIN_INTERLOCK_ANTIVALENT - 8U)
 
-void pin_use(const uint32_t pin, const uint32_t function, const uint32_t pad)
-{
-    REGISTER(PAD(pin)) = pad;
-    REGISTER(GPIO_CTRL(pin)) = function;
-}
-
-void pio_load(const uint32_t pio, const uint32_t first, const uint16_t* const program, const uint32_t length)
-{
-    for (uint32_t i = 0; i < length; i++) {
-        REGISTER(PIO_MEMORY(pio, first + i)) = program[i];
-    }
-}
-
 // Polarity before function: the pad is not driven before it would show its dark level. The pad's own pull goes with the
 // resistor outside.
 static void drive_gate(const size_t gate, const bool inverted)
@@ -112,7 +99,10 @@ void pins_handler(void)
     if (vbus != 0U) {
         REGISTER(IO_INTR3) = vbus;
         hurried = true;
-        variant_vbus_edge((vbus & EDGE_LOW(PIN_VBUS - 24U)) != 0U);
+        if ((vbus & EDGE_LOW(PIN_VBUS - 24U)) != 0U) {
+            variant_vbus_gone();
+            usb_let_go();  // D+ does not wait for the main loop, which this wakes
+        }
     }
     if (antivalent && ((others & ANTIVALENT_LOW) != 0U)) {
         interlock_opened = true;
@@ -148,14 +138,13 @@ void pinuse_count_sync(const bool counts, const uint32_t before)
     REGISTER(IO_PROC0_INTE0) = edges;
 }
 
-void board_interlock_watch(const bool second)
+void pinuse_watch_interlock(const bool second)
 {
     irq_disable(IRQ_IO_BANK0);
     antivalent = second;
     REGISTER(IO_INTR1) = ANTIVALENT_LOW;
     REGISTER(IO_PROC0_INTE1) = (REGISTER(IO_PROC0_INTE1) & (END_LOW | END_HIGH)) | (second ? ANTIVALENT_LOW : 0U);
     irq_enable(IRQ_IO_BANK0);
-    guard_watch(second);
 }
 
 uint8_t board_interlock(void)

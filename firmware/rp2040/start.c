@@ -73,6 +73,11 @@ static void start_peripherals(void)
     if (!clock_came(RESETS_DONE, wanted)) {
         give_up(NO_PERIPHERALS);
     }
+    // Before any is used: some tables say that at reset a channel is chained to itself, some to channel 0, and
+    // `dma_stop` stops whatever it is chained to.
+    for (uint32_t channel = 0; channel < DMA_CHANNELS; channel++) {
+        REGISTER(DMA_CTRL(channel)) = DMA_CHAIN(channel);
+    }
 }
 
 // What is no longer painted was used: the emulator reads how deep the stack went.
@@ -94,11 +99,14 @@ __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t
     image_begin(mark, handover);
     start_clocks();
     start_peripherals();
+    variant_prepare();  // settles while identity_start waits for random bits
     identity_start();
+    serial_number_start();
     reset_start();
     pinuse_start();
     lines_start();
     time_start();
+    sleep_start();
     crash_start(board_cause(), board_boot());
     lamps_start();
     microwave_start();
@@ -112,8 +120,8 @@ __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t
         usb_run();
         crash_measure();
         if (!lines_waiting() && !microwave_hurries()) {
-            image_run();
-            time_sleep();
+            image_run(staging_is_idle());
+            sleep_round();
         }
     }
 }

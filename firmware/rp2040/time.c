@@ -1,11 +1,9 @@
-// The controller's clock, and the sleep between two rounds of the main loop.
+// The controller's clock.
 
 #include "../board.h"
 #include "../core/messages.h"
 #include "hardware.h"
 #include "registers.h"
-
-#define ROUND_US 100U
 
 static uint32_t ticks;
 static uint32_t systick;  // at the last look
@@ -42,24 +40,4 @@ void time_start(void)
     REGISTER(SYSTICK_CSR) = 5U;  // clk_sys, no interrupt
     systick = REGISTER(SYSTICK_CVR);
     ticks = 0;
-    REGISTER(TIMER_INTR) = 1U;
-    SET_BITS(TIMER_INTE) = 1U;
-    irq_enable(IRQ_TIMER0);
-}
-
-void alarm_handler(void)
-{
-    REGISTER(TIMER_INTR) = 1U;
-}
-
-// With interrupts off: one that is pending ends the sleep all the same. Else a storm of them between setting the alarm
-// and sleeping would outlast the alarm, and nothing would wake the loop before the timer came round.
-void time_sleep(void)
-{
-    interrupts_off();
-    if (!pinuse_hurries()) {
-        REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
-        __asm volatile("wfi");
-    }
-    interrupts_on();
 }

@@ -144,13 +144,9 @@ uint8_t board_vbus(void)
     return has_vbus() ? PRESENCE_PRESENT : PRESENCE_ABSENT;
 }
 
-// It wakes the main loop, whose host is then gone; D+ does not wait for that.
-void variant_vbus_edge(const bool fell)
+void variant_vbus_gone(void)
 {
-    if (fell) {
-        vbus_fell = true;
-        usb_let_go();
-    }
+    vbus_fell = true;
 }
 
 bool variant_vbus(void)

@@ -23,6 +23,7 @@ from annulus.link.messages import (
     BurstCode,
     BurstDone,
     Clear,
+    Edge,
     Fault,
     FaultCode,
     Ping,
@@ -42,6 +43,7 @@ def test_a_silent_host_darkens_the_lamps_within_one_frame(board: EmulatedBoard) 
     assert board.falls(PIN_LED)[-1] <= last_word + 50 * MS + 1_000_000
     assert len(board.rises(PIN_LED)) >= 4
     assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.HOST_TIMEOUT]
+    assert [edge.tick for edge in board.heard(Edge)][-1] >= edges[-1] - board.origin - 2  # the dark ones, too
 
 
 @pytest.mark.deep(

@@ -15,7 +15,7 @@ def test_a_storm_of_interrupts_as_it_falls_asleep_does_not_outlast_its_alarm(boa
     for command in (configuration(host_timeout=5000), Commit(generation=1), Arm(outputs=ArmFlag.MICROWAVE)):
         assert board.request(command).status == StatusCode.OK
     for after in range(0, 60, 2):
-        board.run_to("time_sleep")
+        board.run_to("sleep_round")
         begins = board.now + after
         edges = [(begins + i * EVERY, PIN_SYNC, i % 2) for i in range(STORM // EVERY)]
         board.input(*edges, (begins + STORM + EVERY, PIN_SYNC, 1))

@@ -76,7 +76,6 @@ def test_the_core_includes_nothing_of_a_board_but_board_h() -> None:
             assert "malloc" not in line
 
 
-@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("board", "prefix"), [("native", ""), ("rp2040", "arm-none-eabi-")])
 def test_no_file_needs_one_that_needs_it(board: str, prefix: str, tmp_path: Path) -> None:
     """By what the linker sees, so no header hides it: core on either board is a graph without circles."""

@@ -191,7 +191,7 @@ def no_move_towards_an_end_that_is_reached(board: Board) -> str:
         (refused.status, refused.detail) == (StatusCode.UNSAFE, StopCause.END_HIGH), f"answered {refused.status.name}"
     )
     away = Move(position=at - 5, period=20_000, hold=0)
-    played = board.play(Scene(until=MS, watch=(PIN_STEP,), orders=[(MS // 2, away)], after=10 * MS))
+    played = board.play(Scene(until=MS, watch=(PIN_STEP,), orders=[(MS // 2, away)], after=LEAD + 10 * MS))
     expect(len(played.rises(PIN_STEP)) == 5, f"{len(played.rises(PIN_STEP))} steps away of 5")
     return "refused; 5 steps away"
 
