@@ -203,11 +203,19 @@ void board_health(board_health_t* health);
 
 // ---- the cameras' clock ----
 
-// Triggers for cameras, one a period; they need no main loop. The end of each is the sync edge from now on, and what
-// the sync input does is nobody's. Width 0: none, and edges are those of the sync input. What runs already goes on
-// without a break. The first one may last longer, and the edge at its end is as good as any. Only while nothing is
-// armed, and after board_polarity.
-void board_camera_trigger(uint32_t period_ticks, uint32_t width_ticks);
+typedef struct {
+    uint32_t width_ticks;   // 0: none, and edges are those of the sync input
+    uint32_t delay_ticks;   // from an accepted edge of the sync input, which begins it; 0: one a period
+    uint32_t period_ticks;  // meaningful without a delay
+} board_trigger_t;
+
+// Triggers for cameras; they need no main loop. Without a delay the end of each is the sync edge from now on, and what
+// the sync input does is nobody's; the first one may last longer, and the edge at its end is as good as any. With one
+// edges stay those of the sync input, and a trigger begins BOARD_TRIGGER_LATE_TICKS later than asked for at most. It
+// must be over, and CAMERA_TRIGGER_MIN_TICKS have passed, before another edge can be accepted. What runs already goes
+// on without a break. Only while nothing is armed, and after board_polarity.
+#define BOARD_TRIGGER_LATE_TICKS 60U
+void board_camera_trigger(const board_trigger_t* trigger);
 
 // ---- microwave ----
 

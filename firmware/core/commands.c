@@ -108,6 +108,7 @@ void holds_camera_trigger(const controller_t* const self, reply_camera_trigger_t
     if (self->sequencer.is_staged) {
         reply->generation = self->sequencer.staged.generation;
         reply->width = self->sequencer.staged_wiring.trigger_ticks;
+        reply->delay = self->sequencer.staged_wiring.trigger_delay_ticks;
     }
 }
 

@@ -892,12 +892,14 @@ void command_camera_trigger_pack(const command_camera_trigger_t* const self, uin
 {
     put8(payload + 0, self->generation);
     put32(payload + 1, self->width);
+    put32(payload + 5, self->delay);
 }
 
 void command_camera_trigger_unpack(command_camera_trigger_t* const self, const uint8_t* const payload)
 {
     self->generation = get8(payload + 0);
     self->width = get32(payload + 1);
+    self->delay = get32(payload + 5);
 }
 
 uint8_t command_camera_trigger_range(const command_camera_trigger_t* const self)
@@ -914,6 +916,7 @@ void reply_camera_trigger_pack(const reply_camera_trigger_t* const self, uint8_t
     put8(payload + 1, self->detail);
     put8(payload + 2, self->generation);
     put32(payload + 3, self->width);
+    put32(payload + 7, self->delay);
 }
 
 void reply_camera_trigger_unpack(reply_camera_trigger_t* const self, const uint8_t* const payload)
@@ -922,6 +925,7 @@ void reply_camera_trigger_unpack(reply_camera_trigger_t* const self, const uint8
     self->detail = get8(payload + 1);
     self->generation = get8(payload + 2);
     self->width = get32(payload + 3);
+    self->delay = get32(payload + 7);
 }
 
 void reply_wiring_pack(const reply_wiring_t* const self, uint8_t* const payload)
@@ -932,6 +936,7 @@ void reply_wiring_pack(const reply_wiring_t* const self, uint8_t* const payload)
     put8(payload + 3, self->inverted);
     put8(payload + 4, self->driven);
     put32(payload + 5, self->camera_trigger);
+    put32(payload + 9, self->camera_trigger_delay);
 }
 
 void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payload)
@@ -942,6 +947,7 @@ void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payloa
     self->inverted = get8(payload + 3);
     self->driven = get8(payload + 4);
     self->camera_trigger = get32(payload + 5);
+    self->camera_trigger_delay = get32(payload + 9);
 }
 
 void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
@@ -1257,10 +1263,10 @@ static const layout_t layouts[] = {
     {0x59, 5, 0x39, 0, 2},  // reply preamble
     {0x1A, 2, 0xD7, 0, 3},  // command polarity
     {0x5A, 4, 0xB9, 0, 3},  // reply polarity
-    {0x1B, 5, 0xBC, 0, 3},  // command camera_trigger
-    {0x5B, 7, 0x99, 0, 3},  // reply camera_trigger
+    {0x1B, 9, 0xC1, 0, 3},  // command camera_trigger
+    {0x5B, 11, 0x61, 0, 3},  // reply camera_trigger
     {0x1C, 0, 0x82, 1, 3},  // command wiring
-    {0x5C, 9, 0x70, 0, 3},  // reply wiring
+    {0x5C, 13, 0x49, 0, 3},  // reply wiring
     {0x12, 17, 0x00, 0, 2},  // command turntable
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop

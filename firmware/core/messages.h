@@ -849,11 +849,12 @@ typedef struct {
 void reply_polarity_pack(const reply_polarity_t* self, uint8_t* payload);
 void reply_polarity_unpack(reply_polarity_t* self, const uint8_t* payload);
 
-// The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge: it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
-#define COMMAND_CAMERA_TRIGGER_LENGTH 5U
+// Triggers for cameras. They go with the configuration that is staged, as `polarity` does, and run from its commit until another or a reset, armed or not. With `delay` 0 the controller is the cameras' clock: one trigger a frame period, whose end is the sync edge, stamped, counted and followed by flashes as an edge of the sync input is without a trigger. With a `delay` each accepted edge of the sync input begins one so long after it, and stays the edge: the trigger must end before the earliest next one.
+#define COMMAND_CAMERA_TRIGGER_LENGTH 9U
 typedef struct {
     uint8_t generation;  // of the configuration that is staged
     uint32_t width;  // ticks, how long each trigger lasts; 0 = none, edges are those of the sync input
+    uint32_t delay;  // ticks, from an edge of the sync input to the trigger that it begins, 0.6 us more at most; 0 = one a frame period, whatever the sync input does
 } command_camera_trigger_t;
 void command_camera_trigger_pack(const command_camera_trigger_t* self, uint8_t* payload);
 void command_camera_trigger_unpack(command_camera_trigger_t* self, const uint8_t* payload);
@@ -861,12 +862,13 @@ void command_camera_trigger_unpack(command_camera_trigger_t* self, const uint8_t
 uint8_t command_camera_trigger_range(const command_camera_trigger_t* self);
 
 // Answer to camera_trigger.
-#define REPLY_CAMERA_TRIGGER_LENGTH 7U
+#define REPLY_CAMERA_TRIGGER_LENGTH 11U
 typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
     uint8_t generation;  // of the configuration that is staged; 0 = none
     uint32_t width;  // ticks, that would be in force with its commit
+    uint32_t delay;  // ticks, the same of it
 } reply_camera_trigger_t;
 void reply_camera_trigger_pack(const reply_camera_trigger_t* self, uint8_t* payload);
 void reply_camera_trigger_unpack(reply_camera_trigger_t* self, const uint8_t* payload);
@@ -875,7 +877,7 @@ void reply_camera_trigger_unpack(reply_camera_trigger_t* self, const uint8_t* pa
 #define COMMAND_WIRING_LENGTH 0U
 
 // Answer to wiring.
-#define REPLY_WIRING_LENGTH 9U
+#define REPLY_WIRING_LENGTH 13U
 typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
@@ -883,6 +885,7 @@ typedef struct {
     uint8_t inverted;
     uint8_t driven;  // outputs that are driven: see protocol/README.md
     uint32_t camera_trigger;  // ticks, how long each lasts; 0 = none
+    uint32_t camera_trigger_delay;  // ticks, after an edge of the sync input; 0 = one a frame period
 } reply_wiring_t;
 void reply_wiring_pack(const reply_wiring_t* self, uint8_t* payload);
 void reply_wiring_unpack(reply_wiring_t* self, const uint8_t* payload);

@@ -115,7 +115,8 @@ uint8_t execute_wiring(controller_t* const self, reply_wiring_t* const reply)
     *reply = (reply_wiring_t){.generation = self->sequencer.config.generation,
                               .inverted = self->sequencer.wiring.inverted,
                               .driven = board_driven(),
-                              .camera_trigger = self->sequencer.wiring.trigger_ticks};
+                              .camera_trigger = self->sequencer.wiring.trigger_ticks,
+                              .camera_trigger_delay = self->sequencer.wiring.trigger_delay_ticks};
     return STATUS_OK;
 }
 

@@ -17,7 +17,9 @@ enum {
     FIELD_LED_WIDTH = 10,
 };
 
-#define FIELD_TRIGGER_WIDTH 1U  // of CAMERA_TRIGGER
+// Of CAMERA_TRIGGER.
+#define FIELD_TRIGGER_WIDTH 1U
+#define FIELD_TRIGGER_DELAY 2U
 
 static uint32_t tolerance_ticks(const command_stage_t* const config)
 {
@@ -99,11 +101,14 @@ static void put_in_force(sequencer_t* const self, events_t* const events, const 
     }
     self->config = self->staged;
     if (((self->wiring.inverted ^ self->staged_wiring.inverted) & POLARITY_CAMERA_TRIGGER) != 0U) {
-        board_camera_trigger(self->config.frame_period, 0U);  // else a pin that is followed would be turned over
+        board_camera_trigger(
+            &(board_trigger_t){.width_ticks = 0U});  // else a pin that is followed would be turned over
     }
     self->wiring = self->staged_wiring;
     board_polarity(POLARITY_SYNC | POLARITY_OUTPUTS, self->wiring.inverted);
-    board_camera_trigger(self->config.frame_period, self->wiring.trigger_ticks);
+    board_camera_trigger(&(board_trigger_t){.width_ticks = self->wiring.trigger_ticks,
+                                            .delay_ticks = self->wiring.trigger_delay_ticks,
+                                            .period_ticks = self->config.frame_period});
     self->is_staged = false;
     self->is_committed = false;
     event_configured_pack(
@@ -275,6 +280,20 @@ static uint8_t check_limits(const command_stage_t* const config)
     return RANGE_OK;
 }
 
+// One that begins with an edge must be over before another can be accepted, one of its own clock before the next.
+static uint8_t check_trigger(const command_stage_t* const config, const uint32_t width, const uint32_t delay)
+{
+    const uint32_t least = CAMERA_TRIGGER_MIN_TICKS;
+    if (width == 0U) {
+        return (delay == 0U) ? RANGE_OK : FIELD_TRIGGER_DELAY;
+    }
+    if ((delay != 0U) && (delay < least)) {
+        return FIELD_TRIGGER_DELAY;
+    }
+    const uint64_t room = (delay == 0U) ? config->frame_period : holdoff_ticks(config);
+    return ((width < least) || ((uint64_t)delay + width + least > room)) ? FIELD_TRIGGER_WIDTH : RANGE_OK;
+}
+
 uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const config, reply_stage_t* const reply)
 {
     reply->generation = self->config.generation;
@@ -306,8 +325,9 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
     }
     self->staged = *config;
     self->staged_wiring = self->wiring;  // a host that knows nothing of it changes nothing of it
-    if (self->wiring.trigger_ticks + CAMERA_TRIGGER_MIN_TICKS > config->frame_period) {
+    if (check_trigger(config, self->wiring.trigger_ticks, self->wiring.trigger_delay_ticks) != RANGE_OK) {
         self->staged_wiring.trigger_ticks = 0;  // but for what its period leaves no room for
+        self->staged_wiring.trigger_delay_ticks = 0;
     }
     self->is_staged = true;
     reply->generation = config->generation;
@@ -329,12 +349,13 @@ uint8_t sequencer_camera_trigger(sequencer_t* const self, const command_camera_t
     if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
         return STATUS_BAD_STATE;
     }
-    const uint32_t least = CAMERA_TRIGGER_MIN_TICKS;
-    if ((config->width != 0U) && ((config->width < least) || (config->width > self->staged.frame_period - least))) {
-        *detail = FIELD_TRIGGER_WIDTH;
+    *detail = check_trigger(&self->staged, config->width, config->delay);
+    if (*detail != RANGE_OK) {
         return STATUS_OUT_OF_RANGE;
     }
+    *detail = 0;
     self->staged_wiring.trigger_ticks = config->width;
+    self->staged_wiring.trigger_delay_ticks = config->delay;
     return STATUS_OK;
 }
 
@@ -343,8 +364,9 @@ static bool rewires(const sequencer_t* const self)
 {
     const wiring_t* const staged = &self->staged_wiring;
     const bool other_period = self->staged.frame_period != self->config.frame_period;
+    const bool own_clock = (staged->trigger_ticks != 0U) && (staged->trigger_delay_ticks == 0U);
     return (staged->inverted != self->wiring.inverted) || (staged->trigger_ticks != self->wiring.trigger_ticks) ||
-           ((staged->trigger_ticks != 0U) && other_period);
+           (staged->trigger_delay_ticks != self->wiring.trigger_delay_ticks) || (own_clock && other_period);
 }
 
 // An output whose polarity changes changes its level at once, lit or dark: so nothing may be armed, and what is armed

@@ -26,8 +26,9 @@ typedef struct {
 
 // What goes with a configuration and is no field of `stage`.
 typedef struct {
-    uint8_t inverted;        // POLARITY_*
-    uint32_t trigger_ticks;  // how long a camera's trigger lasts; 0 = none
+    uint8_t inverted;              // POLARITY_*
+    uint32_t trigger_ticks;        // how long a camera's trigger lasts; 0 = none
+    uint32_t trigger_delay_ticks;  // after an edge; 0 = one a frame period
 } wiring_t;
 
 // What is small comes first: the processor reaches it with one instruction.

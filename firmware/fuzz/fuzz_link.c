@@ -119,8 +119,8 @@ static void change_outside(const uint8_t what)
 
 static void step(void)
 {
-    static const uint8_t inputs[] = {PIN_INTERLOCK, PIN_END_LOW,    PIN_END_HIGH,
-                                     PIN_SYNC,      PIN_ODOMETER_A, PIN_ODOMETER_B};
+    static const uint8_t inputs[] = {
+        PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_SYNC, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_INTERLOCK_ANTIVALENT};
     const uint8_t what = next();
     const uint8_t how = next();
     const uint8_t line = (what & 0x80U) ? LINE_USB : LINE_UART;

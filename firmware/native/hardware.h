@@ -72,7 +72,8 @@ uint64_t lines_time(void);
 void lines_step(void);
 
 void lamps_start(void);
-void lamps_follow(void);
+void lamps_follow(uint32_t holdoff_ticks);  // 0: as it was
+uint64_t lamps_accepted(void);              // world tick of the last edge that was; 0: none yet
 void lamps_edge(void);
 uint64_t lamps_time(void);
 void lamps_step(void);
@@ -97,7 +98,7 @@ void measure_before(void);                       // any pin changes its level
 void measure_after(uint8_t pin, uint8_t level);  // this one did
 
 void camera_trigger_start(void);
-bool camera_trigger_runs(void);  // the sync input is nobody's
+bool camera_trigger_leads(void);  // the sync input is nobody's
 uint64_t camera_trigger_time(void);
 void camera_trigger_step(void);
 

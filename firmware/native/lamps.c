@@ -11,6 +11,7 @@ static struct {
     board_flash_t loaded;
     bool is_loaded;
     uint64_t refuse_until;
+    uint64_t accepted;  // the last edge that was, 0: none yet
     uint32_t holdoff;
     uint32_t refused;
     uint32_t dropped;
@@ -38,10 +39,16 @@ void lamps_start(void)
     lamps.duty[1] = owed;
 }
 
-// Edges come from another pin from now on: a hold-off under way was that of the one before.
-void lamps_follow(void)
+// Edges come from another pin from now on, or triggers from them: a hold-off under way was of what was before.
+void lamps_follow(const uint32_t holdoff_ticks)
 {
     lamps.refuse_until = world.now;
+    lamps.holdoff = (holdoff_ticks != 0U) ? holdoff_ticks : lamps.holdoff;
+}
+
+uint64_t lamps_accepted(void)
+{
+    return lamps.accepted;
 }
 
 void lamps_edge(void)
@@ -72,6 +79,7 @@ void lamps_edge(void)
                         LAMP_DUTY_MAX_PERMILLE);
         }
     }
+    lamps.accepted = world.now;
     lamps.refuse_until = world.now + lamps.holdoff;
 }
 

@@ -7,7 +7,7 @@ void board_polarity(const uint8_t pins, const uint8_t inverted)
     time_pass();
     const uint8_t before = pinuse_seen(PIN_SYNC);
     pinuse_polarity(pins, inverted);
-    if ((before == 1U) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
+    if ((before == 1U) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_leads()) {
         lamps_edge();
     }
 }

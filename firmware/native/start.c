@@ -43,7 +43,7 @@ static void apply_input(void)
     if ((input.pin == PIN_ODOMETER_A) || (input.pin == PIN_ODOMETER_B)) {
         odometer_input();
     }
-    if ((input.pin == PIN_SYNC) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_runs()) {
+    if ((input.pin == PIN_SYNC) && (pinuse_seen(PIN_SYNC) == 0U) && !camera_trigger_leads()) {
         lamps_edge();
         time_wake();
     }

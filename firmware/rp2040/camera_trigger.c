@@ -1,8 +1,11 @@
-// Triggers for cameras: a machine of PIO0 that borrows the lamps' pulse, fed for ever by two DMA channels. One moves
-// the three words of a period, delay, width and level; the other then sets it to the first of them again.
+// Triggers for cameras: a machine of PIO0 that borrows the lamps' pulse, fed by two DMA channels. One moves the three
+// words of a trigger, delay, width and level; the other then sets it to the first of them again.
 //
-// The sync follower looks at the trigger's own pin: the end of a trigger is an edge like any other, stamped where all
-// are and with the same way from pin to lamp.
+// Of a clock of their own: the two feed the machine for ever, and the sync follower looks at the trigger's own pin. The
+// end of a trigger is an edge like any other, stamped where all are and with the same way from pin to lamp.
+//
+// Begun by the sync input: each accepted edge's stamp sets the two off, once. Between two edges the machine has come to
+// rest and its FIFO is empty, so that they never wait and the next stamp never waits for them.
 
 #include "../board.h"
 #include "../pins.h"
@@ -16,10 +19,7 @@
 static uint32_t words[WORDS];
 static const uint32_t* const first_word = words;  // what the second channel hands to the first
 
-static struct {
-    uint32_t period;
-    uint32_t width;  // 0: none runs
-} running;
+static board_trigger_t running;  // width 0: none
 
 static void execute(const uint32_t instruction)
 {
@@ -29,15 +29,20 @@ static void execute(const uint32_t instruction)
 static void stop(void)
 {
     CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(CAMERA_MACHINE);
-    CLEAR_BITS(DMA_CTRL(DMA_CAMERA_AGAIN)) = DMA_ENABLE;  // first: it would start the other again
-    dma_stop(DMA_CAMERA);
-    dma_stop(DMA_CAMERA_AGAIN);
+    if (running.delay_ticks == 0U) {
+        CLEAR_BITS(DMA_CTRL(DMA_CAMERA_AGAIN)) = DMA_ENABLE;  // first: it would start the other again
+        dma_stop(DMA_CAMERA);
+        dma_stop(DMA_CAMERA_AGAIN);
+    } else {
+        REGISTER(DMA_CTRL(DMA_CAMERA)) = DMA_CHAIN(DMA_CAMERA);  // both are idle, and nothing sets them off
+        REGISTER(DMA_CTRL(DMA_CAMERA_AGAIN)) = DMA_CHAIN(DMA_CAMERA_AGAIN);
+    }
     for (uint32_t i = 0; i < 4U; i++) {
         execute(PULL_NO_BLOCK);
     }
     execute(MOV_PINS_NULL);
     SET_BITS(PIO_CTRL(PIO0)) = PIO_RESTART(CAMERA_MACHINE);
-    running.width = 0;
+    running.width_ticks = 0;
 }
 
 static void give(const uint32_t word)
@@ -46,37 +51,25 @@ static void give(const uint32_t word)
     execute(PULL_NO_BLOCK);
 }
 
-static void feed(void)
+// `then`: what a trigger's words in the machine set off in the end.
+static void feed(const uint32_t then, const bool at_once)
 {
     REGISTER(DMA_READ(DMA_CAMERA_AGAIN)) = (uint32_t)(uintptr_t)&first_word;
     REGISTER(DMA_WRITE(DMA_CAMERA_AGAIN)) = DMA_READ(DMA_CAMERA);
     REGISTER(DMA_COUNT(DMA_CAMERA_AGAIN)) = 1U;
     REGISTER(DMA_CTRL(DMA_CAMERA_AGAIN)) =
-        DMA_QUIET | DMA_REQUEST(DREQ_ALWAYS) | DMA_CHAIN(DMA_CAMERA) | DMA_WORDS | DMA_ENABLE;
+        DMA_QUIET | DMA_REQUEST(DREQ_ALWAYS) | DMA_CHAIN(then) | DMA_WORDS | DMA_ENABLE;
     REGISTER(DMA_READ(DMA_CAMERA)) = (uint32_t)(uintptr_t)words;
     REGISTER(DMA_WRITE(DMA_CAMERA)) = PIO_TX(PIO0, CAMERA_MACHINE);
     REGISTER(DMA_COUNT(DMA_CAMERA)) = WORDS;
-    REGISTER(DMA_CTRL_TRIGGER(DMA_CAMERA)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, CAMERA_MACHINE)) |
-                                             DMA_CHAIN(DMA_CAMERA_AGAIN) | DMA_INCREMENT_READ | DMA_WORDS | DMA_ENABLE;
+    REGISTER(at_once ? DMA_CTRL_TRIGGER(DMA_CAMERA) : DMA_CTRL(DMA_CAMERA)) =
+        DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, CAMERA_MACHINE)) | DMA_CHAIN(DMA_CAMERA_AGAIN) | DMA_INCREMENT_READ |
+        DMA_WORDS | DMA_ENABLE;
 }
 
-void board_camera_trigger(const uint32_t period_ticks, const uint32_t width_ticks)
+static void run_by_itself(void)
 {
-    if ((running.width == width_ticks) && ((width_ticks == 0U) || (running.period == period_ticks))) {
-        return;
-    }
-    if (running.width != 0U) {
-        lamps_follow(PIN_SYNC, 0U);
-        stop();
-    }
-    if (width_ticks == 0U) {
-        return;
-    }
-    running.period = period_ticks;
-    running.width = width_ticks;
-    words[0] = period_ticks - width_ticks - PERIOD_OVERHEAD;
-    words[1] = width_ticks - WIDTH_OVERHEAD;
-    words[2] = 1U;
+    words[0] = running.period_ticks - running.width_ticks - PERIOD_OVERHEAD;
     // The first trigger begins by hand, before anybody looks: a pin that is followed must stand high.
     give(0U);
     execute(MOV_X_OSR);
@@ -85,9 +78,47 @@ void board_camera_trigger(const uint32_t period_ticks, const uint32_t width_tick
     give(words[2]);
     execute(MOV_PINS_OSR);
     execute(JMP(LAMP_DELAY));
-    lamps_follow(PIN_CAMERA_TRIGGER, period_ticks);
-    feed();
+    lamps_follow(PIN_CAMERA_TRIGGER, running.period_ticks / 2U, DMA_STAMP);
+    feed(DMA_CAMERA, true);
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(CAMERA_MACHINE);
+}
+
+static void run_by_edges(void)
+{
+    words[0] = running.delay_ticks;
+    execute(JMP(LAMP_IDLE));
+    feed(DMA_STAMP, false);
+    SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(CAMERA_MACHINE);
+    lamps_follow(PIN_SYNC, running.delay_ticks + running.width_ticks + CAMERA_TRIGGER_MIN_TICKS, DMA_CAMERA);
+}
+
+static bool runs_already(const board_trigger_t* const trigger)
+{
+    const bool clock = (trigger->delay_ticks != 0U) || (running.period_ticks == trigger->period_ticks);
+    return (running.width_ticks == trigger->width_ticks) &&
+           ((trigger->width_ticks == 0U) || ((running.delay_ticks == trigger->delay_ticks) && clock));
+}
+
+void board_camera_trigger(const board_trigger_t* const trigger)
+{
+    if (runs_already(trigger)) {
+        return;
+    }
+    if (running.width_ticks != 0U) {
+        lamps_follow(PIN_SYNC, 0U, DMA_STAMP);
+        stop();
+    }
+    if (trigger->width_ticks == 0U) {
+        return;
+    }
+    running = *trigger;
+    words[1] = running.width_ticks - WIDTH_OVERHEAD;
+    words[2] = 1U;
+    if (running.delay_ticks == 0U) {
+        run_by_itself();
+    } else {
+        run_by_edges();
+    }
 }
 
 // The pin is driven once a configuration says with which polarity.

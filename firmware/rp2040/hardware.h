@@ -171,8 +171,10 @@ enum {
 enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2, CAMERA_MACHINE = 3 };        // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
-// The pin whose falling edges are the sync edges from now on; it must stand high. No flash is loaded afterwards.
-void lamps_follow(uint32_t pin, uint32_t period_ticks);
+// The pin whose falling edges are the sync edges from now on; another one than PIN_SYNC must stand high.
+// `holdoff_ticks`: until a flash brings one; 0: as it was. `then`: the DMA channel that every stamp sets off, and which
+// sets off DMA_STAMP in the end; or DMA_STAMP itself. No flash is loaded afterwards.
+void lamps_follow(uint32_t pin, uint32_t holdoff_ticks, uint32_t then);
 
 // Entry points of the programs that more than one file needs: turntable and cameras borrow the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };

@@ -290,11 +290,18 @@ static void sync_from_here(void)
     lamps.start = began - UNCOUNTED_TICKS * lamps.settled;
 }
 
+static uint32_t at_edge_control(const uint32_t then)
+{
+    return DMA_QUIET | DMA_REQUEST(DREQ_ALWAYS) | DMA_CHAIN(then) | DMA_RING_WRITE | DMA_RING(EDGE_RING_BITS) |
+           DMA_INCREMENT_WRITE | DMA_WORDS | DMA_PRIORITY | DMA_ENABLE;
+}
+
 // Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
 // A hold-off under way was the other pin's, and ends: else a faster clock's first edges would be lost in it. So that
 // the end of the first trigger, which may come before a flash is loaded, does not begin such a one either, it takes
 // half a period: the shortest that a tolerance allows, and shorter than from trigger to trigger.
-void lamps_follow(const uint32_t pin, const uint32_t period_ticks)
+// What stamps set off has run to its end, too, when the last edge is settled, and is changed before another can come.
+void lamps_follow(const uint32_t pin, const uint32_t holdoff_ticks, const uint32_t then)
 {
     pinuse_count_sync(false, 0U);  // before what was accepted is settled: else one of these could count as refused, too
     CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE);
@@ -305,8 +312,8 @@ void lamps_follow(const uint32_t pin, const uint32_t period_ticks)
     sync_execute(FLAG_CLEAR(ACCEPTED));
     sync_execute(MOV_X_OSR);
     sync_execute(PULL_NO_BLOCK);  // the hold-off that waits for an edge, or X: so that the next one has room
-    if (pin != PIN_SYNC) {
-        lamps.holdoff = period_ticks / 2U;
+    if (holdoff_ticks != 0U) {
+        lamps.holdoff = holdoff_ticks;
         REGISTER(PIO_TX(PIO0, SYNC_MACHINE)) = holdoff_count(lamps.holdoff);
         sync_execute(PULL_NO_BLOCK);
     }
@@ -314,6 +321,7 @@ void lamps_follow(const uint32_t pin, const uint32_t period_ticks)
     REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(pin) | EXEC_WRAP(HIGH, HIGH + 1U);
     REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS)) = WAIT_PIN_HIGH(pin);
     REGISTER(PIO_MEMORY(PIO0, LAMP_WAITS + 1U)) = WAIT_PIN_LOW(pin);
+    REGISTER(DMA_CTRL(DMA_AT_EDGE)) = at_edge_control(then);
     lamps.triggered = pin != PIN_SYNC;
     pinuse_count_sync(!lamps.triggered, lamps.settled + lamps.refused);
     sync_from_here();
@@ -382,9 +390,7 @@ static void start_rings(void)
     REGISTER(DMA_READ(DMA_AT_EDGE)) = DMA_COUNT(DMA_ODOMETER);
     REGISTER(DMA_WRITE(DMA_AT_EDGE)) = (uint32_t)(uintptr_t)at_edge;
     REGISTER(DMA_COUNT(DMA_AT_EDGE)) = 1U;
-    REGISTER(DMA_CTRL(DMA_AT_EDGE)) = DMA_QUIET | DMA_REQUEST(DREQ_ALWAYS) | DMA_CHAIN(DMA_STAMP) | DMA_RING_WRITE |
-                                      DMA_RING(EDGE_RING_BITS) | DMA_INCREMENT_WRITE | DMA_WORDS | DMA_PRIORITY |
-                                      DMA_ENABLE;
+    REGISTER(DMA_CTRL(DMA_AT_EDGE)) = at_edge_control(DMA_STAMP);
     REGISTER(DMA_READ(DMA_STAMP)) = PIO_RX(PIO0, SYNC_MACHINE);
     REGISTER(DMA_WRITE(DMA_STAMP)) = (uint32_t)(uintptr_t)stamps;
     REGISTER(DMA_COUNT(DMA_STAMP)) = 1U;

@@ -31,14 +31,14 @@ NONE = PolarityFlag(0)
 
 def start(
     board: EmulatedBoard, *, generation: int = 1, inverted: PolarityFlag = NONE, width: int = WIDTH,
-    period: int = PERIOD,
+    period: int = PERIOD, delay: int = 0,
 ) -> None:  # fmt: skip
     stage = configuration(
         generation=generation, ratio=1, period=period, delay=1000, width=30_000, tolerance=5, readout=0
     )
     assert board.request(stage).status is StatusCode.OK
     assert board.request(Polarity(generation, inverted)).status is StatusCode.OK
-    assert board.request(CameraTrigger(generation, width)).status is StatusCode.OK
+    assert board.request(CameraTrigger(generation, width, delay)).status is StatusCode.OK
     assert board.request(Commit(generation)).status is StatusCode.OK
 
 
@@ -92,6 +92,55 @@ def test_triggers_are_exact_and_each_ones_end_is_an_edge_with_its_flash(
     told = {board.origin + edge.tick for edge in board.heard(Edge) if edge.lamp}
     assert all(min(tick - end for tick in told if tick >= end) <= 1 for end in followed[:-2])
     assert not any(edge.flags & (EdgeFlag.IRREGULAR | EdgeFlag.LATE_LOAD) for edge in board.heard(Edge))
+
+
+LATE = 60  # ticks: board.h, BOARD_TRIGGER_LATE_TICKS
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.deep)])
+def test_each_accepted_edge_of_the_sync_input_begins_a_trigger_and_stays_the_edge(
+    board: EmulatedBoard, count: int
+) -> None:
+    """Beside a train of refused edges, and with flashes that follow the edges to the tick as ever."""
+    board.identify()
+    board.transitions.clear()
+    start(board, delay=150_001)
+    board.run(board.now + MS)
+    assert not board.rises(PIN_CAMERA_TRIGGER)
+    assert board.request(Arm(ArmFlag.LAMPS)).status is StatusCode.OK
+    board.events.clear()
+    first = board.now + PERIOD
+    edges = [first + i * PERIOD + 7 * i % 13 for i in range(count)]
+    for edge in edges:
+        board.pulse(edge)
+        board.pulse(edge + 50_000 + edge % 100_000, low=500)
+    board.run_alive(edges[-1] + PERIOD)
+    late = {begin - edge - 150_001 for edge, begin in zip(edges, board.rises(PIN_CAMERA_TRIGGER), strict=True)}
+    assert min(late) >= 0 and max(late) <= LATE, late
+    assert set(board.widths(PIN_CAMERA_TRIGGER)) == {WIDTH}
+    lit = sorted([*board.rises(PIN_PROJECTOR), *board.rises(PIN_LED)])
+    assert [tick - edge for tick, edge in zip(lit, edges, strict=True)] == [1000 + LATENCY] * count
+    told = [edge for edge in board.heard(Edge) if edge.lamp]
+    assert all(0 <= board.origin + one.tick - edge <= 1 for one, edge in zip(told, edges, strict=True))
+    status = board.request(Status())
+    assert isinstance(status, StatusReply) and status.rejected == count
+    again = configuration(generation=2, ratio=1, period=PERIOD, delay=1000, width=30_000, tolerance=5, readout=0)
+    assert board.request(again).status is StatusCode.OK
+    assert board.request(CameraTrigger(2, WIDTH, 0)).status is StatusCode.BAD_STATE, "armed"
+    assert board.request(Arm(ArmFlag(0))).status is StatusCode.OK
+    latest = PERIOD - PERIOD * 5 // 1000 - WIDTH - 100
+    assert board.request(CameraTrigger(2, WIDTH, latest + 1)).status is StatusCode.OUT_OF_RANGE, "could meet an edge"
+    assert board.request(CameraTrigger(2, WIDTH, latest)).status is StatusCode.OK
+    for generation, width, delay in ((3, WIDTH, 0), (4, WIDTH, 120_000), (5, 0, 0)):  # and from one to the other
+        start(board, generation=generation, width=width, delay=delay)
+        board.run(board.now + MS)
+        board.transitions.clear()
+        began = board.now + MS
+        for i in range(5):
+            board.pulse(began + i * PERIOD)
+        board.run_alive(began + 5 * PERIOD)
+        assert len(board.rises(PIN_CAMERA_TRIGGER)) in ((0,) if not width else (5,) if delay else (5, 6, 7)), generation
+    assert len(board.heard(Edge)) >= count + 15
 
 
 def test_the_sync_input_is_nobodys_while_triggers_run_and_counts_again_without_them(board: EmulatedBoard) -> None:
@@ -162,7 +211,7 @@ def test_a_configuration_of_other_flashes_does_not_touch_the_triggers(board: Emu
     assert board.request(Arm(ArmFlag.LAMPS)).status is StatusCode.OK
     again = configuration(generation=2, ratio=0, period=PERIOD, delay=2000, width=30_000, tolerance=5, readout=0)
     assert board.request(again).status is StatusCode.OK
-    assert board.request(CameraTrigger(2, WIDTH + 1)).status is StatusCode.BAD_STATE, "armed"
+    assert board.request(CameraTrigger(2, WIDTH + 1, 0)).status is StatusCode.BAD_STATE, "armed"
     assert board.request(Commit(2)).status is StatusCode.OK
     other = configuration(generation=3, ratio=0, period=PERIOD + 1, delay=2000, width=30_000, tolerance=5, readout=0)
     board.run(board.now + 10 * PERIOD)
@@ -177,10 +226,10 @@ def test_a_trigger_that_does_not_fit_its_period_is_refused(board: EmulatedBoard)
     board.identify()
     assert board.request(configuration(period=PERIOD, delay=1000, width=30_000, readout=0)).status is StatusCode.OK
     for width in (1, 99, PERIOD - 99, PERIOD, 2**32 - 1):
-        refused = board.request(CameraTrigger(1, width))
+        refused = board.request(CameraTrigger(1, width, 0))
         assert isinstance(refused, CameraTriggerReply)
         assert (refused.status, refused.detail) == (StatusCode.OUT_OF_RANGE, 1), width
     for width in (100, PERIOD - 100, 0):
-        assert board.request(CameraTrigger(1, width)).status is StatusCode.OK, width
-    assert board.request(CameraTrigger(2, 100)).status is StatusCode.BAD_STATE
+        assert board.request(CameraTrigger(1, width, 0)).status is StatusCode.OK, width
+    assert board.request(CameraTrigger(2, 100, 0)).status is StatusCode.BAD_STATE
     board.input((board.now + 1, PIN_SYNC, 0))

@@ -33,8 +33,9 @@ def test_no_label_is_wrong_on_a_head_of_active_low_lamps_and_a_sync_that_rises()
 
 
 @pytest.mark.timeout(600)
-def test_no_label_is_wrong_where_the_controller_triggers_the_camera() -> None:
-    result = soak(20_000, seed=1, faults="all", trigger="xtrig")
+@pytest.mark.parametrize("trigger", ["xtrig", "pulse_on_sync"])
+def test_no_label_is_wrong_where_the_controller_triggers_the_camera(trigger: str) -> None:
+    result = soak(20_000, seed=1, faults="all", trigger=trigger)
     assert (result["wrong_lamps"], result["wrong_places"]) == (0, 0), result["wrong_ones"]
     assert result["unknown"] <= 0.03 * 20_000 and result["untold"] == 0
 

@@ -330,7 +330,7 @@ class Player:
         chips = sum(1 << i for i, chip in enumerate(scene.chips) if chip == "1")
         if scene.level == LEVEL and self.level == LEVEL:
             self._must(Polarity(config.generation, self.inverted))
-            self._must(CameraTrigger(config.generation, scene.trigger))
+            self._must(CameraTrigger(config.generation, scene.trigger, 0))
         self._must(Commit(generation=config.generation))
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
         if scene.turntable and self.level == LEVEL:

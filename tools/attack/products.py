@@ -183,7 +183,7 @@ def end_by(rng: random.Random, scene: Scene, what: str, at: int, send) -> None: 
             scene.actions.append((at, "stall", 0, rng.choice((MS, 3 * MS, 5 * MS, 30 * MS, rng.randrange(MS, 8 * MS)))))
         case "commit":
             period = rng.choice((scene.config.frame_period, rng.randrange(2 * MS, 12 * MS)))
-            width = CameraTrigger(generation, scene.trigger or CAMERA_TRIGGER_MIN_TICKS)
+            width = CameraTrigger(generation, scene.trigger or CAMERA_TRIGGER_MIN_TICKS, 0)
             staged = [legal_config(rng, generation, period), Commit(generation)]
             send(at, *staged, *((width,) if rng.random() < 0.3 else ()), Wiring())
         case "preamble":

@@ -10,7 +10,13 @@ TRIGGER_EXTRA_US = {  # a camera exposes so much longer than its trigger lasts
     "none": 0.0,  # the camera runs by itself
     "xtrig": 14.26,  # Raspberry Pi's Global Shutter camera: its documentation, External Trigger on the GS Camera
     "pulse": 0.0,  # an industrial camera that exposes as long as its trigger input is active
+    "xtrig_on_sync": 14.26,  # the same two, each trigger begun by an edge of the sync input, an outside clock
+    "pulse_on_sync": 0.0,
 }
+ON_SYNC_PERMILLE = 10
+"""Of the period, by which an outside clock may be off `fps` and unsteady. A trigger must end that much before the next
+edge is due, and its frame come later than twice that much: 0.8 ms at 25 fps, of a readout of some ms."""
+ON_SYNC_SPARE_US = 10.0  # from a trigger to the earliest edge; the controller wants 1.6
 TRIGGER_MIN_US = CAMERA_TRIGGER_MIN_TICKS / TICKS_PER_US
 
 
@@ -53,24 +59,30 @@ class FrameTiming:
         """The first row closes: 1/fps - T_ro."""
         return self.period_us - self.readout_us
 
-    def triggered(self, extra_us: float) -> "FrameTiming":
-        """Of a global shutter that the controller opens for as long as its trigger lasts, as a flash must fit it: the
-        end of the trigger is the edge, before which the shutter was open all that time. extra_us : that it stays open
-        afterwards, which nothing counts on.
+    def triggered(self, kind: str) -> "Triggers":
+        """Of a global shutter that the controller opens for as long as its trigger lasts. kind : of TRIGGER_EXTRA_US.
 
         Raises AnnulusError when the trigger would have no length, or sensor and period no time to read the frame out.
         """
-        if self.exposure_us - extra_us < TRIGGER_MIN_US:
+        extra_us, on_sync = TRIGGER_EXTRA_US[kind], is_on_sync(kind)
+        width_us = self.exposure_us - extra_us
+        if width_us < TRIGGER_MIN_US:
             raise AnnulusError(
                 f"exposure {self.exposure_us:g} us: the camera adds {extra_us:g} us to its trigger, and that lasts"
                 f" {TRIGGER_MIN_US:g} us or more"
             )
-        if self.exposure_us + self.readout_us > self.period_us:
+        shortest_us = self.period_us * (1 - ON_SYNC_PERMILLE / 1000 if on_sync else 1)
+        if self.exposure_us + self.readout_us > shortest_us - (ON_SYNC_SPARE_US if on_sync else 0.0):
+            clock = f", and an outside clock that may be {ON_SYNC_PERMILLE / 10:g} % early," if on_sync else ""
             raise AnnulusError(
-                f"exposure {self.exposure_us:g} us and readout {self.readout_us:g} us one after the other do not fit"
-                f" {self.period_us:g} us ({self.fps:g} fps), as a camera that is triggered needs them to"
+                f"exposure {self.exposure_us:g} us and readout {self.readout_us:g} us one after the other{clock} do not"
+                f" fit {self.period_us:g} us ({self.fps:g} fps), as a camera that is triggered needs them to"
             )
-        return FrameTiming(self.fps, self.exposure_us - extra_us, 0.0)
+        if not on_sync:
+            return Triggers(width_us, 0.0, FrameTiming(self.fps, width_us, 0.0))
+        delay_us = shortest_us - ON_SYNC_SPARE_US - width_us
+        after_us = self.period_us - delay_us
+        return Triggers(width_us, delay_us, FrameTiming(self.fps, after_us, after_us - width_us))
 
     def __str__(self) -> str:
         return f"{self.fps:g} fps, exposure {self.exposure_us / 1e3:g} ms, readout {self.readout_us / 1e3:g} ms"
@@ -114,3 +126,19 @@ class FrameTiming:
             rows.append(("flash", bar(delay_us, delay_us + width_us, "▲")))
         ruler = "0" + f"{span / 1e3:g} ms".rjust(columns - 1)
         return "\n".join(f"{name:>9} {line}" for name, line in rows) + f"\n{'':>9} {ruler}"
+
+
+@dataclass(frozen=True, slots=True)
+class Triggers:
+    """What the controller gives cameras. `flashes_in`: the camera's mode as flashes must fit it. The end of a trigger
+    is the edge, or lies as close before it as it safely can; what the shutter stays open afterwards nothing counts on.
+    """
+
+    width_us: float
+    delay_us: float  # from an edge of the sync input to the trigger that it begins; 0: the controller is the clock
+    flashes_in: FrameTiming
+
+
+def is_on_sync(kind: str) -> bool:
+    """Whether a trigger of this kind is begun by the sync input."""
+    return kind.endswith("_on_sync")

@@ -12,7 +12,9 @@ from annulus.cli.show import Json, group, print_fields, progress
 app = group("The simulated head.")
 
 Inverted = Annotated[str, typer.Option(help="Pins whose wiring wants the other level, as sync,projector,led.")]
-Trigger = Annotated[str, typer.Option(help="What the camera takes: none, xtrig (Global Shutter camera), pulse.")]
+Trigger = Annotated[
+    str, typer.Option(help="What the camera takes: none, xtrig, pulse; with an outside clock xtrig_on_sync, ..")
+]
 Board = Annotated[
     str, typer.Option(help="native: the core in this process; emulated: the shipped image on an emulated RP2040.")
 ]

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
+from annulus.capture.timing import FrameTiming
 
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
 CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
-Trigger = Literal["none", "xtrig", "pulse"]
+Trigger = Literal["none", "xtrig", "pulse", "xtrig_on_sync", "pulse_on_sync"]
 FILES = ("video", "folder")  # cameras that end, and do not come back
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 
@@ -28,4 +28,4 @@ class CameraConfig:
     @property
     def flash_timing(self) -> FrameTiming:
         """What a flash must fit. Raises AnnulusError when a camera that is triggered has no time for its frames."""
-        return self.timing if self.trigger == "none" else self.timing.triggered(TRIGGER_EXTRA_US[self.trigger])
+        return self.timing if self.trigger == "none" else self.timing.triggered(self.trigger).flashes_in

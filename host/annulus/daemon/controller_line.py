@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
+from annulus.capture.timing import ON_SYNC_PERMILLE, is_on_sync
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig, LampConfig
@@ -266,7 +267,10 @@ def check_lamps(config: HeadConfig, *, window: bool) -> None:
 
 
 def tolerance_permille(config: HeadConfig) -> int:
-    return TOLERANCE_PERMILLE if config.cameras[0].trigger == "none" else TRIGGERED_PERMILLE
+    trigger = config.cameras[0].trigger
+    if is_on_sync(trigger):
+        return ON_SYNC_PERMILLE
+    return TOLERANCE_PERMILLE if trigger == "none" else TRIGGERED_PERMILLE
 
 
 def _shortest_us(config: HeadConfig) -> float:
@@ -307,7 +311,8 @@ def pins_for(config: HeadConfig) -> Pins:
     pins, trigger = Pins(pins_named(config.inverted)), config.cameras[0].trigger
     if trigger == "none":
         return pins
-    return pins.triggering(trigger, round(config.timing.exposure_us * TICKS_PER_US))
+    triggers = config.cameras[0].timing.triggered(trigger)
+    return pins.triggering(trigger, triggers.width_us, triggers.delay_us)
 
 
 def line_numbers(line: ControllerLine | None) -> dict[str, object]:

@@ -1142,22 +1142,23 @@ class CameraTriggerReply(Reply):
     """Answer to camera_trigger."""
 
     ID: ClassVar[int] = 0x5B
-    SCHEMA_BYTE: ClassVar[int] = 0x99
+    SCHEMA_BYTE: ClassVar[int] = 0x61
     SINCE: ClassVar[int] = 3
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBI")
-    LENGTH: ClassVar[int] = 7
-    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "width")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBII")
+    LENGTH: ClassVar[int] = 11
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "generation", "width", "delay")
 
     generation: int  # of the configuration that is staged; 0 = none
     width: int  # ticks; that would be in force with its commit
+    delay: int  # ticks; the same of it
 
     def pack(self) -> bytes:
-        return _pack("camera_trigger", self.LAYOUT, self.status, self.detail, self.generation, self.width)
+        return _pack("camera_trigger", self.LAYOUT, self.status, self.detail, self.generation, self.width, self.delay)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(StatusCode(v[0]), v[1], v[2], v[3])
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4])
 
 
 @dataclass(frozen=True, slots=True)
@@ -1165,10 +1166,10 @@ class WiringReply(Reply):
     """Answer to wiring."""
 
     ID: ClassVar[int] = 0x5C
-    SCHEMA_BYTE: ClassVar[int] = 0x70
+    SCHEMA_BYTE: ClassVar[int] = 0x49
     SINCE: ClassVar[int] = 3
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBI")
-    LENGTH: ClassVar[int] = 9
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBII")
+    LENGTH: ClassVar[int] = 13
     FIELDS: ClassVar[tuple[str, ...]] = (
         "status",
         "detail",
@@ -1176,12 +1177,14 @@ class WiringReply(Reply):
         "inverted",
         "driven",
         "camera_trigger",
+        "camera_trigger_delay",
     )
 
     generation: int  # of the configuration in force; 0 = none
     inverted: PolarityFlag
     driven: PolarityFlag  # outputs that are driven: see protocol/README.md
     camera_trigger: int  # ticks; how long each lasts; 0 = none
+    camera_trigger_delay: int  # ticks; after an edge of the sync input; 0 = one a frame period
 
     def pack(self) -> bytes:
         return _pack(
@@ -1193,12 +1196,13 @@ class WiringReply(Reply):
             self.inverted,
             self.driven,
             self.camera_trigger,
+            self.camera_trigger_delay,
         )
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]), v[5])
+        return cls(StatusCode(v[0]), v[1], v[2], PolarityFlag(v[3]), PolarityFlag(v[4]), v[5], v[6])
 
 
 @dataclass(frozen=True, slots=True)
@@ -2000,30 +2004,33 @@ class Polarity(Command):
 
 @dataclass(frozen=True, slots=True)
 class CameraTrigger(Command):
-    """The controller is the cameras' clock. Goes with the configuration that is staged, as `polarity` does, and runs at
-    its frame period from its commit until another or a reset, armed or not. The end of every trigger is the sync edge:
-    it is stamped, counted and followed by flashes as an edge of the sync input is without a trigger.
+    """Triggers for cameras. They go with the configuration that is staged, as `polarity` does, and run from its commit
+    until another or a reset, armed or not. With `delay` 0 the controller is the cameras' clock: one trigger a frame
+    period, whose end is the sync edge, stamped, counted and followed by flashes as an edge of the sync input is without
+    a trigger. With a `delay` each accepted edge of the sync input begins one so long after it, and stays the edge: the
+    trigger must end before the earliest next one.
     """
 
     ID: ClassVar[int] = 0x1B
-    SCHEMA_BYTE: ClassVar[int] = 0xBC
+    SCHEMA_BYTE: ClassVar[int] = 0xC1
     SINCE: ClassVar[int] = 3
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
-    LENGTH: ClassVar[int] = 5
-    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "width")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII")
+    LENGTH: ClassVar[int] = 9
+    FIELDS: ClassVar[tuple[str, ...]] = ("generation", "width", "delay")
     REPLY: ClassVar[type[Reply]] = CameraTriggerReply
     QUERY: ClassVar[bool] = False
 
     generation: int  # of the configuration that is staged
     width: int  # ticks; how long each trigger lasts; 0 = none, edges are those of the sync input
+    delay: int  # ticks; from an edge of the sync input to the trigger that it begins, 0.6 us more at most; 0 = one a frame period, whatever the sync input does
 
     def pack(self) -> bytes:
-        return _pack("camera_trigger", self.LAYOUT, self.generation, self.width)
+        return _pack("camera_trigger", self.LAYOUT, self.generation, self.width, self.delay)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(v[0], v[1])
+        return cls(v[0], v[1], v[2])
 
 
 @dataclass(frozen=True, slots=True)

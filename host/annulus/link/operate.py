@@ -152,11 +152,12 @@ def _wiring_fields(client: Client) -> dict[str, object]:
     """Pins that are inverted, and outputs that are driven; null: firmware too old."""
     found = client.request(Wiring()) if client.session.knows(Wiring) else None
     if not isinstance(found, WiringReply):
-        return {"pins_inverted": None, "pins_driven": None, "camera_trigger_us": None}
+        return {"pins_inverted": None, "pins_driven": None, "camera_trigger_us": None, "camera_trigger_delay_us": None}
     return {
         "pins_inverted": pins_text(found.inverted),
         "pins_driven": pins_text(found.driven),
         "camera_trigger_us": found.camera_trigger / TICKS_PER_US,
+        "camera_trigger_delay_us": found.camera_trigger_delay / TICKS_PER_US,
     }
 
 

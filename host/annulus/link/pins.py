@@ -19,32 +19,36 @@ NONE = PolarityFlag(0)
 @dataclass(frozen=True, slots=True)
 class Pins:
     """`inverted`: pins whose driver, or source, means the other level. `trigger_ticks`: how long a trigger for cameras
-    lasts; 0: cameras run by themselves.
+    lasts; 0: cameras run by themselves. `trigger_delay_ticks`: after the edge of the sync input that begins it; 0: one
+    a frame period.
     """
 
     inverted: PolarityFlag = NONE
     trigger_ticks: int = 0
+    trigger_delay_ticks: int = 0
 
-    def triggering(self, trigger: str, ticks: int) -> "Pins":
+    def triggering(self, trigger: str, width_us: float, delay_us: float = 0.0) -> "Pins":
         """With triggers that last so long, for a camera of this kind of daemon.camera_config.Trigger."""
-        low = PolarityFlag.CAMERA_TRIGGER if trigger == "xtrig" else NONE  # whoever inverts it on the way says so
-        return Pins(self.inverted ^ low, ticks)
+        low = PolarityFlag.CAMERA_TRIGGER if trigger.startswith("xtrig") else NONE  # an inverter on the way says so too
+        return Pins(self.inverted ^ low, round(width_us * TICKS_PER_US), round(delay_us * TICKS_PER_US))
 
     def polarity(self, generation: int) -> Polarity:
         """What says so, of the configuration that is staged."""
         return Polarity(generation, self.inverted)
 
     def trigger(self, generation: int) -> CameraTrigger:
-        return CameraTrigger(generation, self.trigger_ticks)
+        return CameraTrigger(generation, self.trigger_ticks, self.trigger_delay_ticks)
 
     def problem(self, found: WiringReply, generation: int) -> str:
         """Empty when this is in force with that configuration; else one line."""
-        if (found.generation, found.inverted, found.camera_trigger) == (generation, self.inverted, self.trigger_ticks):
+        triggers = (found.camera_trigger, found.camera_trigger_delay)
+        expected = (self.trigger_ticks, self.trigger_delay_ticks)
+        if (found.generation, found.inverted, triggers) == (generation, self.inverted, expected):
             return ""
         if found.inverted == self.inverted:
             return (
-                f"the camera trigger with configuration {found.generation} is {found.camera_trigger / TICKS_PER_US:g}"
-                f" us, expected {self.trigger_ticks / TICKS_PER_US:g} us with {generation}"
+                f"the camera trigger with configuration {found.generation} is {_trigger_text(*triggers)}, expected"
+                f" {_trigger_text(*expected)} with {generation}"
             )
         return (
             f"the pins inverted with configuration {found.generation} are {pins_text(found.inverted)}, expected"
@@ -55,6 +59,11 @@ class Pins:
     def pulled_up(self) -> list[tuple[int, int]]:
         """(pin, 1) of each output that a resistor outside must keep at its dark level while nobody drives it."""
         return [(pin, 1) for flag, pin in OUTPUTS.items() if flag in self.inverted]
+
+
+def _trigger_text(width: int, delay: int) -> str:
+    after = f" and {delay / TICKS_PER_US:g} us after the edge" if delay else ""
+    return f"{width / TICKS_PER_US:g} us long{after}"
 
 
 OUTPUTS = {
@@ -77,7 +86,8 @@ def pins_text(pins: PolarityFlag) -> str:
 
 def pins_from(data: Mapping[str, Any]) -> Pins:
     """Of asdict()."""
-    return Pins(PolarityFlag(data.get("inverted", 0)), int(data.get("trigger_ticks", 0)))
+    ticks = (int(data.get(name, 0)) for name in ("trigger_ticks", "trigger_delay_ticks"))
+    return Pins(PolarityFlag(data.get("inverted", 0)), *ticks)
 
 
 def pins_of(text: str) -> Pins:

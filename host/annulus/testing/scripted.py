@@ -92,7 +92,7 @@ class ScriptedController:
         self.edges = 0
         self._staged: Stage | None = None
         self._staged_inverted = self.inverted = PolarityFlag(0)
-        self._staged_trigger = self.trigger = 0
+        self._staged_trigger = self.trigger = (0, 0)
         self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
         self._ring: dict[int, Event] = {}
@@ -198,12 +198,12 @@ class ScriptedController:
             case Polarity(generation, inverted):
                 self._staged_inverted = inverted
                 return PolarityReply(*ok, generation, inverted)
-            case CameraTrigger(generation, width):
-                self._staged_trigger = width
-                return CameraTriggerReply(*ok, generation, width)
+            case CameraTrigger(generation, width, delay):
+                self._staged_trigger = width, delay
+                return CameraTriggerReply(*ok, generation, width, delay)
             case Wiring():
                 held = self.in_force.generation if self.in_force else 0
-                return WiringReply(*ok, held, self.inverted, PolarityFlag(0), self.trigger)
+                return WiringReply(*ok, held, self.inverted, PolarityFlag(0), *self.trigger)
             case Arm(outputs):
                 self.armed = bool(outputs) and status is StatusCode.OK
                 return ArmReply(*ok, outputs)

@@ -29,7 +29,7 @@ from typing import IO, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
+from annulus.capture.timing import FrameTiming
 from annulus.link.pins import AS_WIRED, Pins, pins_list
 from annulus.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus.twin.faults import Faults
@@ -224,7 +224,7 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
     timing = flashes_in = head.timing
     triggered = ""
     if head.trigger != "none":
-        flashes_in = timing.triggered(TRIGGER_EXTRA_US[head.trigger])
+        flashes_in = timing.triggered(head.trigger).flashes_in
         triggered = f'\n        trigger = "{head.trigger}"'
     delay_us = math.ceil(flashes_in.opens_us + FLASH_AFTER_OPENING_US)
     section = "[[camera]]" if world.others else "[camera]"

@@ -19,7 +19,7 @@ import zmq
 
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.remote import MESSAGE_MAX
-from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
+from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S, TICKS_PER_US
 from annulus.link.messages import BootCause
 from annulus.link.pins import pins_from
@@ -111,8 +111,8 @@ class Head:
         self.boot = 1 + seed % 200
         pins, trigger = pins_from(order.get("pins", {})), str(order.get("trigger", "none"))
         if trigger != "none":
-            lasts_us = self.timing.triggered(TRIGGER_EXTRA_US[trigger]).exposure_us
-            pins = pins.triggering(trigger, round(lasts_us * TICKS_PER_US))
+            triggers = self.timing.triggered(trigger)
+            pins = pins.triggering(trigger, triggers.width_us, triggers.delay_us)
         self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.line = LossyLine(self.faults, seed)

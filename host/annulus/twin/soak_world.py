@@ -10,7 +10,7 @@ import numpy as np
 
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.proof import Witness
-from annulus.capture.timing import TRIGGER_EXTRA_US, FrameTiming
+from annulus.capture.timing import ON_SYNC_PERMILLE, FrameTiming, is_on_sync
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
@@ -57,7 +57,7 @@ class Waiting(NamedTuple):
     frame: Delivered
 
 
-def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4) -> Stage:
+def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4, tolerance_permille: int = 50) -> Stage:
     """Flashes of the lamps' nominal on-time, in the middle of the window."""
     flashes = []
     for lamp, width_us in (("projector", world.projector.nominal_us), ("led", world.led.nominal_us)):
@@ -66,7 +66,7 @@ def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4) -> 
         flashes.append((delay_us, width_us))
     return stage_from_us(
         ratio=ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
-        projector_us=flashes[0], led_us=flashes[1],
+        projector_us=flashes[0], led_us=flashes[1], tolerance_permille=tolerance_permille,
     )  # fmt: skip
 
 
@@ -92,8 +92,9 @@ class SoakWorld:
         self.timing = flashes_in = FrameTiming(25.0, 38_000.0, 28_000.0)
         if trigger != "none":
             self.timing = TRIGGERED
-            flashes_in = self.timing.triggered(TRIGGER_EXTRA_US[trigger])
-            pins = pins.triggering(trigger, round(flashes_in.exposure_us * TICKS_PER_US))
+            triggers = self.timing.triggered(trigger)
+            flashes_in = triggers.flashes_in
+            pins = pins.triggering(trigger, triggers.width_us, triggers.delay_us)
         self.period = self.timing.period_us * TICKS_PER_US
         self.world = world or clean_world(seed=seed).scaled(WIDTH)
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
@@ -109,7 +110,8 @@ class SoakWorld:
         self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.tick = board.tick  # of the world, now; an emulated one takes time to come up
-        stage = soak_configuration(flashes_in, self.world, ratio=ratio)
+        tolerance = ON_SYNC_PERMILLE if is_on_sync(trigger) else 50
+        stage = soak_configuration(flashes_in, self.world, ratio=ratio, tolerance_permille=tolerance)
         self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S), pins=pins)
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera

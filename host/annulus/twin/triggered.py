@@ -1,9 +1,10 @@
 """A global-shutter camera that exposes while its trigger is active, and does nothing without one.
 
-It has no clock: a trigger that it misses is a frame that does not exist, and its driver numbers those that do. What
-disturbs the line beside the controller's trigger is a trigger to it: a frame between two that nothing lights, whose
-readout keeps it from seeing the next one. Frames are numbered by the period in which they came, so that faults fall
-where the same ones fall on a camera that runs by itself.
+It has no clock, but the controller may follow one from outside: then the sync line is that clock's. A trigger that it
+misses is a frame that does not exist, and its driver numbers those that do. What disturbs the line beside the
+controller's trigger is a trigger to it: a frame between two that nothing lights, whose readout keeps it from seeing the
+next one. Frames are numbered by the period in which they came, so that faults fall where the same ones fall on a
+camera that runs by itself.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.timing import TRIGGER_EXTRA_US
+from annulus.capture.timing import TRIGGER_EXTRA_US, is_on_sync
 from annulus.controller import PIN_CAMERA_TRIGGER, TICKS_PER_US
 from annulus.link.messages import PolarityFlag
 from annulus.twin.cable import Stimulus
+from annulus.twin.draws import Draws
 from annulus.twin.image_sensor import Exposure, ImageSensor
 from annulus.vocabulary import CameraSequence
 
@@ -26,9 +28,10 @@ SPIKE_AT = 0.5  # of a period after an exposure's end
 class TriggeredSensor(ImageSensor):
     """`timing`'s exposure is that of the camera, its readout what comes after it."""
 
-    def __init__(self, *arguments: Any, extra_us: float, **more: Any) -> None:
-        """extra_us : for so long it goes on exposing when the trigger is over. The rest: see ImageSensor."""
-        timing = arguments[1]
+    def __init__(self, *arguments: Any, trigger: str, **more: Any) -> None:
+        """trigger : of TRIGGER_EXTRA_US; for so long it goes on exposing when it is over. The rest: see ImageSensor."""
+        timing, extra_us = arguments[1], TRIGGER_EXTRA_US[trigger]
+        self._on_sync = is_on_sync(trigger)
         more.setdefault("timestamp_offset_us", extra_us)  # the driver stamps the readout's start
         super().__init__(*arguments, **more)
         self._extra = round(extra_us * TICKS_PER_US)
@@ -37,11 +40,13 @@ class TriggeredSensor(ImageSensor):
         self._since: int | None = None  # of the trigger under way
         self._triggers: list[tuple[int, int]] = []  # seen or not, from and to, not yet dealt with
         self._busy_until = 0  # exposing or reading out
+        self._line = Draws(more.get("seed", 0), 9) if self._on_sync else self._draws[1]  # the sync line has its own
         self._last = -1  # number of the last frame
         self._frames = 0
 
     def _sync_of(self, frame: int) -> list[Stimulus]:
-        return []
+        """The outside clock's, where there is one."""
+        return super()._sync_of(frame) if self._on_sync else []
 
     def exposures(self, now: int, transitions: Iterable[Sequence[int]] | NDArray[Any] = ()) -> list[Exposure]:
         told = transitions.tolist() if isinstance(transitions, np.ndarray) else list(transitions)
@@ -63,7 +68,7 @@ class TriggeredSensor(ImageSensor):
 
     def _triggered(self, opens: int, edge: int) -> None:
         """A trigger by the controller, and what comes after it."""
-        rng = self._draws[1].of(round(edge / self._period))
+        rng = self._line.of(round(edge / self._period))
         missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         if not missing:
             self._triggers.append((opens, edge))
@@ -103,4 +108,4 @@ def sensor_of(*arguments: Any, trigger: str = "none", **more: Any) -> ImageSenso
     """One that runs by itself, or one that takes this kind of trigger."""
     if trigger == "none":
         return ImageSensor(*arguments, **more)
-    return TriggeredSensor(*arguments, extra_us=TRIGGER_EXTRA_US[trigger], **more)
+    return TriggeredSensor(*arguments, trigger=trigger, **more)

@@ -275,7 +275,7 @@ def test_a_camera_that_takes_a_trigger_gets_one_as_long_as_its_exposure_and_room
     head = '[controller]\nport = "/dev/null"\n[camera]\ntrigger = "xtrig"\nfps = 25\n'
     lamps = "[lamps]\nprojector_delay_us = 30100\nled_delay_us = 30100\n"
     config = load_config(write(tmp_path, head + "exposure_us = 10014.26\nreadout_us = 14300\n" + lamps))
-    assert pins_for(config) == AS_WIRED.triggering("xtrig", 1_000_000)
+    assert pins_for(config) == AS_WIRED.triggering("xtrig", 10_000.0)
     assert stage_of(config).exposure == 1_000_000 and stage_of(config).readout == 0
     for wrong, why in (
         ("exposure_us = 30000\nreadout_us = 14300\n", "one after the other do not fit 40000 us"),
@@ -286,6 +286,14 @@ def test_a_camera_that_takes_a_trigger_gets_one_as_long_as_its_exposure_and_room
             load_config(write(tmp_path, head + wrong + lamps))
     with pytest.raises(AnnulusError, match="expected one of none, xtrig, pulse"):
         load_config(write(tmp_path, head.replace("xtrig", "yes")))
+    outside = head.replace("xtrig", "pulse_on_sync") + "exposure_us = 10000\nreadout_us = 14300\n"
+    config = load_config(write(tmp_path, outside + "[lamps]\nprojector_delay_us = 29600\nled_delay_us = 29600\n"))
+    assert pins_for(config) == AS_WIRED.triggering("pulse_on_sync", 10_000.0, 29_590.0)  # 1 % and 10 us before 40 ms
+    stage = stage_of(config)
+    assert (stage.exposure, stage.readout, stage.tolerance) == (1_041_000, 41_000, 10)
+    early = outside.replace("= 10000", "= 25500") + lamps
+    with pytest.raises(AnnulusError, match="an outside clock that may be 1 % early, do not fit 40000 us"):
+        load_config(write(tmp_path, early))
     two = '[[camera]]\ntrigger = "xtrig"\nexposure_us = 10000\nreadout_us = 14300\n[[camera]]\n'
     with pytest.raises(AnnulusError, match="one line for all"):
         load_config(write(tmp_path, two))

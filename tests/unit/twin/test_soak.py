@@ -46,8 +46,9 @@ def test_no_label_is_wrong_where_lamps_are_active_low_and_the_sync_rises() -> No
     assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
 
 
-def test_no_label_is_wrong_where_the_controller_triggers_a_camera_that_misses_some() -> None:
-    result = soak(250, seed=5, faults=Faults(sync_missing=0.01, sync_glitches=0.01, resets=(120,)), trigger="xtrig")
+@pytest.mark.parametrize("trigger", ["xtrig", "xtrig_on_sync"])
+def test_no_label_is_wrong_where_the_controller_triggers_a_camera_that_misses_some(trigger: str) -> None:
+    result = soak(250, seed=6, faults=Faults(sync_missing=0.01, sync_glitches=0.01, resets=(120,)), trigger=trigger)
     assert result["wrong"] == 0 and result["projector"] > 100 and result["led"] > 20
 
 

@@ -9,7 +9,7 @@ from annulus.twin.worlds import clean_world
 
 MS = 100_000
 TIMING = FrameTiming(25.0, 20_000.0, 14_300.0)
-XTRIG = AS_WIRED.triggering("xtrig", 1_998_574)
+XTRIG = AS_WIRED.triggering("xtrig", 19_985.74)
 
 
 def low(at: int, width: int = 1_998_574) -> list[tuple[int, int, int]]:
