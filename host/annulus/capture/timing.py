@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, TICKS_PER_US
+from annulus.untrusted import shown
 from annulus.vocabulary import AnnulusError
 
 TRIGGER_EXTRA_US = {  # a camera exposes so much longer than its trigger lasts
@@ -13,6 +14,7 @@ TRIGGER_EXTRA_US = {  # a camera exposes so much longer than its trigger lasts
     "xtrig_on_sync": 14.26,  # the same two, each trigger begun by an edge of the sync input, an outside clock
     "pulse_on_sync": 0.0,
 }
+OWN_CLOCK_PERMILLE = 5  # the controller makes the edges itself; the exposure lies before them, and so do flashes
 ON_SYNC_PERMILLE = 10
 """Of the period, by which an outside clock may be off `fps` and unsteady. A trigger must end that much before the next
 edge is due, and its frame come later than twice that much: 0.8 ms at 25 fps, of a readout of some ms."""
@@ -79,10 +81,11 @@ class FrameTiming:
                 f" fit {self.period_us:g} us ({self.fps:g} fps), as a camera that is triggered needs them to"
             )
         if not on_sync:
-            return Triggers(width_us, 0.0, FrameTiming(self.fps, width_us, 0.0))
+            return Triggers(width_us, 0.0, FrameTiming(self.fps, width_us, 0.0), OWN_CLOCK_PERMILLE)
         delay_us = shortest_us - ON_SYNC_SPARE_US - width_us
         after_us = self.period_us - delay_us
-        return Triggers(width_us, delay_us, FrameTiming(self.fps, after_us, after_us - width_us))
+        flashes_in = FrameTiming(self.fps, after_us, after_us - width_us)
+        return Triggers(width_us, delay_us, flashes_in, ON_SYNC_PERMILLE)
 
     def __str__(self) -> str:
         return f"{self.fps:g} fps, exposure {self.exposure_us / 1e3:g} ms, readout {self.readout_us / 1e3:g} ms"
@@ -137,6 +140,14 @@ class Triggers:
     width_us: float
     delay_us: float  # from an edge of the sync input to the trigger that it begins; 0: the controller is the clock
     flashes_in: FrameTiming
+    tolerance_permille: int  # of the period, in which an edge is taken for one
+
+
+def trigger_named(kind: object) -> str:
+    """One of TRIGGER_EXTRA_US. Raises AnnulusError."""
+    if not isinstance(kind, str) or kind not in TRIGGER_EXTRA_US:
+        raise AnnulusError(f"trigger is {shown(kind)}, expected one of {', '.join(TRIGGER_EXTRA_US)}")
+    return kind
 
 
 def is_on_sync(kind: str) -> bool:

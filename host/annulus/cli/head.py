@@ -10,6 +10,7 @@ import typer
 from annulus.cli import turntable
 from annulus.cli.show import Json, Port, group, print_fields
 from annulus.controller import CODES
+from annulus.vocabulary import AnnulusError
 
 app = group("Talk to one controller: configure, arm, fire a burst, turn the turntable.")
 app.add_typer(turntable.app, name="turntable")
@@ -42,15 +43,26 @@ def configure(
         str | None,
         typer.Option(help="Pins whose wiring wants the other level, as sync,led; none: no pin; absent: as in force."),
     ] = None,
+    trigger: Annotated[
+        str | None, typer.Option(help="What cameras take, as in head.toml: none, xtrig, ..; wants --inverted as well.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
-    from annulus.capture.timing import FrameTiming
+    from annulus.capture.timing import FrameTiming, trigger_named
     from annulus.link import operate
     from annulus.link.pins import pins_of
     from annulus.link.stage import stage_from_us
 
     mode = FrameTiming(fps, exposure_us, readout_us)
+    pins, tolerance = None if inverted is None else pins_of(inverted), 50
+    if trigger is not None:
+        if pins is None:
+            raise AnnulusError("--trigger wants --inverted as well, the pins that the wiring inverts: none, or as led")
+        if trigger_named(trigger) != "none":
+            triggers = mode.triggered(trigger)
+            pins, mode = pins.triggering(trigger, triggers.width_us, triggers.delay_us), triggers.flashes_in
+            tolerance = triggers.tolerance_permille
     for lamp, delay_us, width_us in (
         ("projector flash", projector_delay_us, projector_width_us),
         ("LED flash", led_delay_us, led_width_us),
@@ -58,10 +70,10 @@ def configure(
         if width_us != 0:
             mode.check_flash(delay_us, width_us, lamp)
     stage = stage_from_us(
-        ratio=ratio, period_us=mode.period_us, exposure_us=exposure_us, readout_us=readout_us,
+        ratio=ratio, period_us=mode.period_us, exposure_us=mode.exposure_us, readout_us=mode.readout_us,
         projector_us=(projector_delay_us, projector_width_us), led_us=(led_delay_us, led_width_us),
+        tolerance_permille=tolerance,
     )  # fmt: skip
-    pins = None if inverted is None else pins_of(inverted)
     print_fields(operate.configure(port, stage, pins), as_json)
 
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from annulus.capture.timing import ON_SYNC_PERMILLE, is_on_sync
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig, LampConfig
@@ -40,7 +39,6 @@ REOPEN_S = 1.0
 DISARM_S = 0.5
 CONFIGURE_S = 1.0
 TOLERANCE_PERMILLE = 100  # of the frame period, in which an edge is taken for one
-TRIGGERED_PERMILLE = 5  # where the controller makes the edges itself: the exposure lies before them, and so do flashes
 CONFIRMED = (Phase.IDLE, Phase.STOPPED)  # that it is dark
 DARK = (*CONFIRMED, Phase.REFUSED, Phase.MISMATCH)
 TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
@@ -267,10 +265,10 @@ def check_lamps(config: HeadConfig, *, window: bool) -> None:
 
 
 def tolerance_permille(config: HeadConfig) -> int:
-    trigger = config.cameras[0].trigger
-    if is_on_sync(trigger):
-        return ON_SYNC_PERMILLE
-    return TOLERANCE_PERMILLE if trigger == "none" else TRIGGERED_PERMILLE
+    camera = config.cameras[0]
+    return (
+        TOLERANCE_PERMILLE if camera.trigger == "none" else camera.timing.triggered(camera.trigger).tolerance_permille
+    )
 
 
 def _shortest_us(config: HeadConfig) -> float:

@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from annulus.capture.timing import TRIGGER_EXTRA_US
+from annulus.capture.timing import trigger_named
 from annulus.daemon.camera_config import CameraConfig, Trigger
 from annulus.link.pins import INVERTIBLE
 from annulus.untrusted import shown
+from annulus.vocabulary import AnnulusError
 
 WATCHFUL = ("interlock", "end_low", "end_high")  # inputs that say unsafe when their wire breaks
 
@@ -20,21 +21,26 @@ def inverted_pins(content: Mapping[str, Any]) -> tuple[str, ...]:
         if name not in INVERTIBLE:
             why = ": a broken wire must say unsafe" if name in WATCHFUL else ""
             raise ValueError(f"[controller] inverted names {shown(name)}{why}, expected of {', '.join(INVERTIBLE)}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"[controller] inverted is {shown(names)}, expected each pin once")
     return tuple(names)
 
 
 def trigger_of(content: Mapping[str, Any]) -> Trigger:
     """Of [camera]. Raises ValueError."""
-    trigger = content.get("trigger", "none")
-    if not isinstance(trigger, str) or trigger not in TRIGGER_EXTRA_US:
-        raise ValueError(f"[camera] trigger is {shown(trigger)}, expected one of {', '.join(TRIGGER_EXTRA_US)}")
-    return cast(Trigger, trigger)
+    try:
+        return cast(Trigger, trigger_named(content.get("trigger", "none")))
+    except AnnulusError as error:
+        raise ValueError(f"[camera] {error}") from None
 
 
 def check_triggers(cameras: Sequence[CameraConfig]) -> None:
-    """There is one trigger for all: they must want the same, and have time for it. Raises ValueError, AnnulusError."""
+    """There is one trigger for all: they must want the same, and have time for it. Raises ValueError."""
     for one in cameras:
-        _ = one.flash_timing
+        try:
+            _ = one.flash_timing
+        except AnnulusError as error:
+            raise ValueError(f"[camera] {error}") from None
     for one in cameras[1:]:
         if one.trigger != cameras[0].trigger:
             raise ValueError("[camera] trigger differs from camera to camera, but there is one line for all")

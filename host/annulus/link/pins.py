@@ -96,6 +96,8 @@ def pins_of(text: str) -> Pins:
     for name in names:
         if name not in INVERTIBLE:
             raise AnnulusError(f"pin {shown(name)} cannot be inverted, expected none or of {', '.join(INVERTIBLE)}")
+    if len(set(names)) < len(names):
+        raise AnnulusError(f"inverted pins are {shown(text)}, expected each once")
     return Pins(pins_named(names))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.proof import Witness
-from annulus.capture.timing import ON_SYNC_PERMILLE, FrameTiming, is_on_sync
+from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
@@ -90,10 +90,11 @@ class SoakWorld:
         """
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = flashes_in = FrameTiming(25.0, 38_000.0, 28_000.0)
+        tolerance = 50
         if trigger != "none":
             self.timing = TRIGGERED
             triggers = self.timing.triggered(trigger)
-            flashes_in = triggers.flashes_in
+            flashes_in, tolerance = triggers.flashes_in, triggers.tolerance_permille
             pins = pins.triggering(trigger, triggers.width_us, triggers.delay_us)
         self.period = self.timing.period_us * TICKS_PER_US
         self.world = world or clean_world(seed=seed).scaled(WIDTH)
@@ -110,7 +111,6 @@ class SoakWorld:
         self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.tick = board.tick  # of the world, now; an emulated one takes time to come up
-        tolerance = ON_SYNC_PERMILLE if is_on_sync(trigger) else 50
         stage = soak_configuration(flashes_in, self.world, ratio=ratio, tolerance_permille=tolerance)
         self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S), pins=pins)
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)

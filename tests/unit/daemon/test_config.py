@@ -264,7 +264,11 @@ draws_ma = 50.0
 def test_pins_that_may_be_inverted_are_named_and_those_that_watch_never_are(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, '[controller]\nport = "/dev/null"\ninverted = ["sync", "led"]\n'))
     assert pins_for(config) == pins_of("sync,led") and config.to_dict()["inverted"] == ["sync", "led"]
-    for wrong, why in (('["interlock"]', "a broken wire must say unsafe, expected of sync"), ('"sync"', "a list of")):
+    for wrong, why in (
+        ('["interlock"]', "a broken wire must say unsafe, expected of sync"),
+        ('"sync"', "a list of"),
+        ('["led", "led"]', "each pin once"),
+    ):
         with pytest.raises(AnnulusError, match=why):
             load_config(write(tmp_path, f"[controller]\ninverted = {wrong}\n"))
 
