@@ -10,7 +10,6 @@ import typer
 from annulus.cli import turntable
 from annulus.cli.show import Json, Port, group, print_fields
 from annulus.controller import CODES
-from annulus.vocabulary import AnnulusError
 
 app = group("Talk to one controller: configure, arm, fire a burst, turn the turntable.")
 app.add_typer(turntable.app, name="turntable")
@@ -58,7 +57,9 @@ def configure(
     pins, tolerance = None if inverted is None else pins_of(inverted), 50
     if trigger is not None:
         if pins is None:
-            raise AnnulusError("--trigger wants --inverted as well, the pins that the wiring inverts: none, or as led")
+            raise typer.BadParameter(
+                "wants --inverted as well: none, or the pins that the wiring inverts", param_hint="--trigger"
+            )
         if trigger_named(trigger) != "none":
             triggers = mode.triggered(trigger)
             pins, mode = pins.triggering(trigger, triggers.width_us, triggers.delay_us), triggers.flashes_in
