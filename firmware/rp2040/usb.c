@@ -371,7 +371,12 @@ static void leave(const uint32_t for_us)
 
 static void come_back(void)
 {
-    if (!tick_is_past(REGISTER(TIMER_RAW_LOW), recovery.until_us) || !variant_vbus_back()) {
+    const uint32_t now_us = REGISTER(TIMER_RAW_LOW);
+    if (!tick_is_past(now_us, recovery.until_us)) {
+        return;
+    }
+    recovery.until_us = now_us;  // moved along: a plug may stay out for longer than two ticks can be apart
+    if (!variant_vbus_back()) {
         return;
     }
     CLEAR_BITS(RESETS_RESET) = RESET_USB;

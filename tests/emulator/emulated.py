@@ -213,6 +213,10 @@ class EmulatedBoard:
         """Transfers this channel has still to do, as if it had run for long."""
         self._do(op="dma-count", channel=channel, count=count)
 
+    def age(self, microseconds: int) -> None:
+        """The timer's count goes on by so much, as if the image had slept."""
+        self._do(op="age", us=microseconds)
+
     def input(self, *edges: tuple[int, int, int]) -> None:
         self._do(op="input", edges=edges)
 

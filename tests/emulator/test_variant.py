@@ -107,6 +107,16 @@ def test_vbus_that_is_gone_for_a_microsecond_was_unplugged(boards: Boards) -> No
     assert board.resets == []
 
 
+def test_a_plug_is_found_however_long_it_was_out(boards: Boards) -> None:
+    """Half a turn of the timer's 32 bits and more: two of its counts are compared by the sign of their difference."""
+    board = boards("pico")
+    for _ in range(3):
+        board.age(1_000_000_000)
+        board.run(board.now + MS)
+    board.plug_in()
+    assert board.identify().status == StatusCode.OK
+
+
 def test_a_pico_w_arms_without_a_light_and_a_pico_with_one(boards: Boards) -> None:
     for kind, lights in (("pico-w", 0), ("pico", 1)):
         board = boards(kind)

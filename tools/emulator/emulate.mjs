@@ -8,7 +8,7 @@
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
-//   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
+//   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do) | {"op": "age", "us": N} (of the timer's count)
 //   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "let-go", "pin": N} (an input whose wire is off) | {"op": "pulls", "pulls": [[output, level], ..]} (resistors outside) | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
 //   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot) | {"op": "ram", "at": ADDRESS, "hex": ".."}
@@ -27,7 +27,7 @@ import { PIN, TICK_HZ } from './controller.mjs';
 import { listen } from './listen.mjs';
 import { Fault, Machine } from './machine.mjs';
 import { setPulls } from './pads.mjs';
-import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
+import { ageTimer, copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash, spoilRam } from './power.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
@@ -67,6 +67,7 @@ function answer(machine, op) {
     case 'trap': machine.setTrap(op.at, op.what); break;
     case 'power-cycle': powerCycle(machine, op.short); break;
     case 'dma-count': machine.dma.channels[op.channel].count = op.count; break;
+    case 'age': ageTimer(machine, op.us); break;
     case 'usb': machine.host.do(op, machine.now); break;
     case 'usbip': machine.host = new UsbIp(machine.usb, op.port, () => machine.now); break;
     case 'leave-bootloader': leaveBootloader(machine); break;

@@ -46,3 +46,11 @@ export function spoilFlash(machine, at, bytes) {
 export function spoilRam(machine, address, bytes) {
   machine.chip.sram.set(bytes, address - 0x20000000);
 }
+
+// The timer's count goes on by so much, as if the image had slept.
+export function ageTimer(machine, microseconds) {
+  machine.tickClock();
+  const { clock } = machine.chip;
+  for (let alarm = clock.nextAlarm; alarm; alarm = alarm.next) alarm.nanos += 1000 * microseconds;
+  clock.nanosCounter += 1000 * microseconds;
+}
