@@ -364,6 +364,7 @@ static void leave(const uint32_t for_us)
 {
     usb_port_forget();  // to the core its host is gone: what was armed is dark in the next round
     control.phase = REST;
+    irq_disable(IRQ_USB);  // what is pending stays so, and its handler would find the block in reset
     SET_BITS(RESETS_RESET) = RESET_USB;
     recovery.away = true;
     recovery.until_us = REGISTER(TIMER_RAW_LOW) + for_us;
@@ -454,7 +455,6 @@ void usb_let_go(void)
 
 void usb_start(void)
 {
-    irq_enable(IRQ_USB);
     if (!variant_vbus_back()) {
         leave(0U);
         return;
@@ -471,6 +471,7 @@ void usb_start(void)
     usb_place_packets(NOTICE_IN, NOTICE_IN);
     usb_place_packets(DATA_IN, DATA_IN);
     usb_place_packets(DATA_OUT, DATA_OUT);
+    irq_enable(IRQ_USB);  // one that was pending as the block left finds nothing
     REGISTER(USB_INTE) = USB_INT_ALL;
     interrupts_off();  // a plug that was pulled meanwhile let go of D+ already
     if (variant_vbus()) {

@@ -12,6 +12,7 @@ import { Fault, fault, hex } from './fault.mjs';
 import { Flash } from './flash.mjs';
 import { Loop, SysTick } from './loop.mjs';
 import { padLevel, putBehindOverride, writePinControl } from './pads.mjs';
+import { Nvic } from './nvic.mjs';
 import { Pio } from './pio.mjs';
 import { RESET_BITS, RESET_OF, ALWAYS_ON } from './resets.mjs';
 import { Ssi } from './ssi.mjs';
@@ -116,10 +117,7 @@ export class Machine {
     // The boot ROM: copies 256 bytes, enters them with LR = 0.
     chip.sram.set(this.flash.subarray(0, 256), BOOT2_AT - RAM);
     const { core } = chip;
-    // What is pending ends WFI though PRIMASK holds it back, and is taken once that lets it (ARMv6-M, WFI): rp2040js takes
-    // it at once.
-    const check = core.checkForInterrupts;
-    core.checkForInterrupts = () => (core.waiting && core.PM ? (core.pendingInterrupts & core.enabledInterrupts) !== 0 : check.call(core));
+    this.nvic = new Nvic(this);
     core.registers[13] = 0x20041f00;
     core.registers[14] = 0;
     core.registers[15] = BOOT2_AT;
@@ -300,6 +298,7 @@ export class Machine {
 
   setResets(value) {
     const fell = value & ~this.inReset;
+    this.nvic.checkResets(fell);
     this.sync();
     this.quietUntil = this.hardwareTick;
     for (const number of [0, 1]) if ((fell >>> (10 + number)) & 1) { this.pios[number].reset(); this.updatePins(); }
