@@ -15,7 +15,7 @@ export class Dma {
 
   reset() {
     this.channels = Array.from({ length: 12 }, (_, index) => ({
-      index, read: 0, write: 0, count: 0, reload: 0, ctrl: 0, busy: false, wait: 0,
+      index, read: 0, write: 0, count: 0, reload: 0, ctrl: 0, busy: false, wait: 0, aborted: false,
     }));
     this.active = 0;
   }
@@ -24,6 +24,7 @@ export class Dma {
   clearDREQ() {}
 
   start(channel) {
+    if (channel.aborted) fault(`DMA: channel ${channel.index} is started while its last transfer is still on its way`);
     if (!(channel.ctrl & 1) || channel.busy) return;
     channel.count = channel.reload;
     channel.busy = channel.count > 0;
@@ -70,12 +71,21 @@ export class Dma {
     const ringIsWrite = (ctrl >>> 10) & 1;
     if (ctrl & 0x10) channel.read = advance(channel.read, !ringIsWrite);
     if (ctrl & 0x20) channel.write = advance(channel.write, ringIsWrite);
-    channel.count--;
+    channel.count = channel.aborted ? 0 : channel.count - 1;
     if (channel.count === 0) {
       channel.busy = false;
+      channel.aborted = false;
       const next = (ctrl >>> 11) & 15;
       if (next !== channel.index) this.start(this.channels[next]);
     }
+  }
+
+  // What is between its read and its write cannot be revoked (2.5.5.3), and ends as a completed sequence does (errata
+  // RP2040-E13 and RP2350-E5), so that the channel chained to it is triggered. The counter is cleared.
+  abort(channel) {
+    channel.count = 0;
+    channel.aborted = channel.wait > 0;
+    channel.busy = channel.aborted;
   }
 
   readUint32(offset) {
@@ -104,7 +114,7 @@ export class Dma {
       }
     }
     if (offset === 0x444) {
-      for (const channel of this.channels) if ((value >>> channel.index) & 1) { channel.busy = false; channel.wait = 0; }
+      for (const channel of this.channels) if ((value >>> channel.index) & 1) this.abort(channel);
       return;
     }
     fault(`DMA: write of register ${hex(offset)} is not modelled`);
