@@ -271,7 +271,7 @@ static void carry_out(const setup_t* const setup)
         answer(setup, line_coding, sizeof line_coding);
         break;
     case REQUEST(CLASS_TO_INTERFACE, 0x22):  // SET_CONTROL_LINE_STATE
-        usb_port.host_ready = (setup->value & 1U) != 0U;
+        usb_port_ready((setup->value & 1U) != 0U);
         agree();
         break;
     default:

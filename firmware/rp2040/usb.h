@@ -16,7 +16,7 @@ enum { DATA_IN_SECOND = 6 };  // no endpoint: another buffer of DATA_IN's
 
 // Buffers. One belongs to the controller from usb_hand_over until BUFF_STATUS says it is done.
 void usb_hand_over(uint32_t endpoint, uint32_t bits);
-void usb_take_back(uint32_t endpoints);
+uint32_t usb_take_back(uint32_t endpoints);                  // which of them were not done
 void usb_void_control(void);                                 // endpoint 0's; what was done before is still said to be
 void usb_place_packets(uint32_t endpoint, uint32_t buffer);  // the endpoint on, its next packet in this buffer
 volatile uint8_t* usb_packet_of(uint32_t buffer);            // an endpoint's own, or DATA_IN_SECOND
@@ -31,7 +31,8 @@ extern struct usb_port {
 } usb_port;
 void usb_port_open(void);
 void usb_port_close(void);
-void usb_port_forget(void);  // as closed, with a controller that nothing can be taken back from
+void usb_port_ready(bool ready);  // DTR
+void usb_port_forget(void);       // as closed, with a controller that nothing can be taken back from
 bool usb_port_halted(uint32_t endpoint);
 void usb_port_halt(uint32_t endpoint, bool halt);
 void usb_port_done(uint32_t endpoints);  // buffers the controller has given back

@@ -38,25 +38,30 @@ void usb_hand_over(const uint32_t endpoint, const uint32_t bits)
     REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits | BUFFER_AVAILABLE;
 }
 
-// Take buffers back from the controller. The first Picos (RP2040-B0, B1) never say that they are done: erratum E2.
-static void abort_buffers(const uint32_t endpoints)
+// Take buffers back from the controller: which of them it still had. The first Picos (RP2040-B0, B1) never say that
+// they are done: erratum E2.
+static uint32_t abort_buffers(const uint32_t endpoints)
 {
+    uint32_t had = 0;
     SET_BITS(USB_EP_ABORT) = endpoints;
     for (uint32_t i = 0; (i < 1000U) && ((REGISTER(USB_EP_ABORT_DONE) & endpoints) != endpoints); i++) {
     }
     for (uint32_t endpoint = CONTROL_IN; endpoint <= DATA_OUT; endpoint++) {
         if ((endpoints & BIT(endpoint)) != 0U) {
+            had |= ((REGISTER(USB_BUFFER_CONTROL(endpoint)) & BUFFER_AVAILABLE) != 0U) ? BIT(endpoint) : 0U;
             REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
         }
     }
     REGISTER(USB_EP_ABORT_DONE) = endpoints;
     CLEAR_BITS(USB_EP_ABORT) = endpoints;
+    return had;
 }
 
-void usb_take_back(const uint32_t endpoints)
+uint32_t usb_take_back(const uint32_t endpoints)
 {
-    abort_buffers(endpoints);
+    const uint32_t had = abort_buffers(endpoints);
     REGISTER(USB_BUFF_STATUS) = endpoints;
+    return had;
 }
 
 void usb_void_control(void)
@@ -193,6 +198,19 @@ void usb_port_open(void)
     usb_port.configured = true;
     usb_frame_wake();
     ask_for_packet();
+}
+
+// What nobody fetched before the port was closed is not for whoever opens it next. The toggles go on: a packet taken
+// back leaves its own to the next one.
+void usb_port_ready(const bool ready)
+{
+    if (usb_port.host_ready && !ready && !usb_port_halted(DATA_IN)) {
+        in.data1 = (usb_take_back(BIT(DATA_IN)) != 0U) ? !in.data1 : in.data1;
+        in.taken = false;
+        in.whole = false;
+        in.filled = 0;
+    }
+    usb_port.host_ready = ready;
 }
 
 void usb_port_forget(void)

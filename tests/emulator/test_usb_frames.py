@@ -176,3 +176,21 @@ def test_neither_a_missing_host_nor_a_bus_reset_is_a_hang(board: EmulatedBoard) 
     board.plug_in()
     assert board.identify().status == StatusCode.OK
     assert (attached(board), hangs(board)) == (2, 0)
+
+
+def test_an_answer_that_nobody_fetched_is_not_for_who_opens_the_port_next(board: EmulatedBoard) -> None:
+    """Handed over already, or late in a frame kept back for the next one; and the toggles go on."""
+    board.plug_in()
+    board.identify()
+    for phase in range(0, 1000, 120):
+        board.run(board.now + 20 * MS + phase * TICKS_PER_US)
+        board.send(Ping())
+        while board.usb["waiting"]:
+            board.run(board.now + 2 * TICKS_PER_US)
+        board.usb_do("close")
+        board.run(board.now + 5 * MS)
+        board.replies.clear()
+        board.usb_do("open")
+        board.run(board.now + 5 * MS)
+        assert not board.replies, f"{phase} us into a frame"
+        assert board.identify().status == StatusCode.OK
