@@ -185,7 +185,8 @@ bool board_edge(board_edge_t* edge);
 // Both gates low now: the flash being timed ends, the loaded one is dropped. The hold-off stays in force.
 void board_lamps_cut(void);
 
-// Edges refused since reset: inside the hold-off, or not taken in time by the core.
+// Edges refused since reset: inside the hold-off, or not taken in time by the core. Of a line that rings, over
+// sixty edges a round, not every one.
 uint32_t board_edges_refused(void);
 
 // Quadrature counts since reset, four per cycle, A before B counts up; as of this round.

@@ -66,6 +66,9 @@ bool microwave_hurries(void);
 #define SCRATCH_MAGIC 0x616E6E00U
 #define SCRATCH_BY_HOST 1U
 
+// Once a round: the pins' interrupts, of which a round takes so many, go on.
+void pinuse_run(void);
+
 // An interlock or VBUS went since this was last asked: the round under way may have looked before.
 bool pinuse_hurries(void);
 

@@ -23,8 +23,13 @@ static uint8_t gates_inverted;  // those of the driven ones
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
 static volatile bool hurried;
-static bool antivalent;  // the interlock has a second input
+static volatile uint32_t interrupts;  // of this round
+static bool antivalent;               // the interlock has a second input
 static volatile uint32_t ends_touched;
+
+// Of 1 us or so. A wire that rings has no more of them: what comes then waits, latched, for the next round, and of the
+// sync input's edges some are not counted.
+#define INTERRUPTS_A_ROUND 64U
 
 #define END_LOW EDGE_HIGH(PIN_END_LOW - 8U)  // as pins 8..15 tell their edges
 #define END_HIGH EDGE_HIGH(PIN_END_HIGH - 8U)
@@ -108,6 +113,16 @@ void pins_handler(void)
         interlock_opened = true;
         hurried = true;
     }
+    interrupts = interrupts + 1U;
+    if (interrupts >= INTERRUPTS_A_ROUND) {
+        irq_disable(IRQ_IO_BANK0);
+    }
+}
+
+void pinuse_run(void)
+{
+    interrupts = 0;
+    irq_enable(IRQ_IO_BANK0);
 }
 
 bool pinuse_hurries(void)

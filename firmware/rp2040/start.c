@@ -118,6 +118,7 @@ __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t
         controller_run(&controller);
         board_trail()->part = PART_USB;
         usb_run();
+        pinuse_run();
         crash_measure();
         if (!lines_waiting() && !microwave_hurries()) {
             image_run(staging_is_idle());
