@@ -114,9 +114,12 @@ static inline void irq_enable(const uint32_t irq)
     REGISTER(NVIC_ENABLE(irq)) = 1U << (irq % 32U);
 }
 
+// In force when it returns (ARM's application note 321, 4.9): the write may be on its way for longer than the next
+// instruction takes, which would still be interrupted.
 static inline void irq_disable(const uint32_t irq)
 {
     REGISTER(NVIC_DISABLE(irq)) = 1U << (irq % 32U);
+    __asm volatile("dsb\n isb" ::: "memory");
 }
 
 // Give a pin to a peripheral, with this pad.
