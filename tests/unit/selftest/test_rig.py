@@ -4,6 +4,7 @@ import itertools
 import re
 from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,7 +13,7 @@ from annulus.selftest.rig import wire
 from annulus.selftest.rig.board import Played
 from annulus.selftest.rig.on_rig import origin_of
 from annulus.selftest.rig.recording import merged, play_list, samples, track
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 from tools.pictures import rig as picture
 
 HEADER = Path(__file__).resolve().parents[3] / "firmware/rig/wire.h"
@@ -98,6 +99,36 @@ def test_a_list_plays_every_edge_at_its_tick_or_as_soon_as_it_can(edges: list[tu
 def test_the_picture_in_the_manual_is_of_these_jumpers() -> None:
     assert picture.OUT.read_text(encoding="utf-8") == picture.drawn()
     assert picture.drawn().count("<line") == 14
+
+
+class Silence:
+    """A port behind which nobody is, or whose noise is no rig's, in a time of its own."""
+
+    def __init__(self, noise: bytes) -> None:
+        self.now, self.bytes_read, self.noise = 0, 0, noise
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def read(self, timeout_s: float) -> bytes:
+        self.now += round(timeout_s * 1e9)
+        self.bytes_read += len(self.noise)
+        return self.noise
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_port_from_which_nothing_comes_is_given_up_after_three_seconds() -> None:
+    silent = Silence(b"")
+    with pytest.raises(AnnulusError, match="nothing came, expected a second Pico"):
+        wire.RigLine("/dev/ttyACM9", silent)  # type: ignore[arg-type]
+    assert silent.now <= 3.1e9
+    with pytest.raises(AnnulusError, match="bytes came and none was a rig's"):
+        wire.RigLine("/dev/ttyACM9", Silence(b"\x07\0"))  # type: ignore[arg-type]
 
 
 def test_samples_are_changes_of_four_pins() -> None:

@@ -68,7 +68,7 @@ TAKEN_AT, SEEN_AT = 0.5, 0.5
 STAMP_OFF = 3.0  # ticks by which a stamp may miss its edge and still be believed to be its
 OWED_MS = 80  # the most dark a burst can owe is 77 ms
 EARLY_S = 30.0  # a scene that long overdue will not end
-OPENINGS = 4
+OPENINGS = 3  # of a second each: nobody is there
 REFUSABLE_S = 10.0
 PASSES = 4  # runs of noise for a question
 

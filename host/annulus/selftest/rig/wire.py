@@ -19,6 +19,7 @@ SAMPLER_TRACK = 3  # whose machine the sampler takes
 
 ANSWER_S = 1.0
 TRIES = 10  # an emulated rig on a busy machine stands still for seconds
+UNHEARD_TRIES = 3  # where not a byte ever came: nobody is there
 _HEAD, _CRC = 2, 4
 _FRAME_MAX = _HEAD + PAYLOAD_MAX + _CRC + 2
 
@@ -214,6 +215,8 @@ class RigLine:
     def _ask(self, operation: Operation, payload: bytes) -> bytes:
         """The answer without its status."""
         for attempt in range(TRIES):
+            if attempt >= UNHEARD_TRIES and not self._port.bytes_read:
+                break
             sequence = self._send(operation, payload)
             deadline = self._now_s() + ANSWER_S
             while self._now_s() < deadline:
