@@ -51,7 +51,13 @@ function serveUsb(machine, port, name) { // plugged in from the start; whoever c
   const tell = (what, more) => machine.host.do({ do: what, ...more }, machine.now);
   tell('attach');
   tell('close');
-  return listen(Number(port), name, (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
+  const send = listen(Number(port), name, (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
+  let wasThere = false; // a port that goes with its device hangs up, as a tty does
+  return () => {
+    if (wasThere && machine.host.state === 'detached') send.hangUp();
+    wasThere = machine.host.isOpen || (wasThere && machine.host.state !== 'detached');
+    send(machine.host.read());
+  };
 }
 
 const lines = [];
@@ -60,7 +66,7 @@ for (const [machine, uart, usb, name] of [[pair.controller, given.serve, given['
   const toUsb = usb === undefined ? () => {} : serveUsb(machine, usb, `${name}'s USB`);
   lines.push(() => {
     toUart(Buffer.from(machine.read_serial().map(([, byte]) => byte)));
-    if (usb !== undefined) toUsb(machine.host.read());
+    toUsb();
     machine.pins();
   });
 }

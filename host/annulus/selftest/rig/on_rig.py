@@ -9,6 +9,7 @@ controller's own count at its begin.
 import contextlib
 import random
 import statistics
+import time
 from collections.abc import Sequence
 
 from annulus.controller import (
@@ -32,12 +33,14 @@ from annulus.link.messages import (
     Event,
     IdentifyReply,
     Reply,
+    Reset,
     Status,
     Turntable,
     TurntableFlag,
 )
+from annulus.link.problems import too_old
 from annulus.link.session import Answer, EventReceived, Unanswered, identify
-from annulus.selftest.rig.board import MS, EdgeIn, Fine, Played, Scene
+from annulus.selftest.rig.board import MS, EdgeIn, Fine, NotKeptError, Played, Scene
 from annulus.selftest.rig.recording import merged, play_list, samples, track
 from annulus.selftest.rig.wire import (
     AREA_WORDS,
@@ -70,6 +73,7 @@ OWED_MS = 80  # the most dark a burst can owe is 77 ms
 EARLY_S = 30.0  # a scene that long overdue will not end
 OPENINGS = 3  # of a second each: nobody is there
 REFUSABLE_S = 10.0
+GOES_S, RETURNS_S, READ_S = 0.5, 8.0, 0.05  # a port whose board restarts
 PASSES = 4  # runs of noise for a question
 
 
@@ -129,8 +133,12 @@ class RigBoard:
         return answer
 
     def identify(self) -> IdentifyReply:
+        """And hear which commands it has, as whoever opens a line does."""
         reply = self.request(identify())
         assert isinstance(reply, IdentifyReply)
+        until = self.client.now_s() + REFUSABLE_S
+        while not self.client.session.informed and self.client.now_s() < until:
+            self._listen(READ_S)
         return reply
 
     def fresh(self) -> None:
@@ -144,8 +152,32 @@ class RigBoard:
         self.request(Turntable(-TURNTABLE_POSITION_MAX_STEPS, TURNTABLE_POSITION_MAX_STEPS, 0, 0, TurntableFlag(0)))
 
     def ask(self, command: Command) -> Reply | None:
+        """An older firmware breaks the promise that needs a command it does not know, and no other."""
+        if not self.client.session.knows(type(command)):
+            raise NotKeptError(too_old(type(command)))
+        if isinstance(command, Reset):
+            return self._restarted(command)
         answer: Answer | None = self.client.ask(command, REFUSABLE_S)
         return None if answer is None else answer.reply
+
+    def _restarted(self, command: Reset) -> Reply | None:
+        """A port over USB goes away with the board, its last answer perhaps as well, and comes again; a UART stays."""
+        answer: Answer | None = None
+        until = time.monotonic() + GOES_S
+        with contextlib.suppress(AnnulusError):
+            answer = self.client.ask(command, REFUSABLE_S)
+            while time.monotonic() < until:
+                self._listen(READ_S)
+        self.client.close()
+        until = time.monotonic() + RETURNS_S
+        while True:
+            try:
+                self.client = FloodingClient(self.device)
+                return None if answer is None else answer.reply
+            except AnnulusError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(READ_S)
 
     def play(self, scene: Scene) -> Played:
         wanted = [(round(tick * self.ratio), pin, level) for tick, pin, level in scene.edges]

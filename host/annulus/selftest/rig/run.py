@@ -81,8 +81,11 @@ def run_rig(device: str, rig: str, *, only: str | None = None, tell: Callable[[s
     try:
         _check_idle(board)
         tell("wiring")
-        board.fresh()
-        missing = missing_jumpers(board)
+        try:
+            board.fresh()
+            missing = missing_jumpers(board)
+        except NotKeptError as why:
+            raise AnnulusError(f"{device}: nothing was judged, since to find the jumpers {why}") from None
         rows = []
         for promise in promises:
             tell(promise.what)
