@@ -210,7 +210,7 @@ bool bench_record(const bench_record_t* const record)
         return false;
     }
     for (uint32_t i = 0; i < RIG_TRACKS; i++) {
-        if ((record->tracks[i] != RIG_NONE) && ((record->tracks[i] & ~RIG_TRACK_ODD & 0xFFU) > 15U)) {
+        if ((record->tracks[i] != RIG_NONE) && ((record->tracks[i] & ~RIG_TRACK_ODD & 0xFFU) >= PIN_MARK)) {
             return false;
         }
     }
@@ -389,9 +389,10 @@ void bench_start(void)
     REGISTER(SIO_GPIO_OUT_CLEAR) = 1U << PIN_MARK;
     REGISTER(SIO_GPIO_OE_SET) = 1U << PIN_MARK;
     pin_use(PIN_MARK, FUNCTION_SIO, PAD_INPUT | PAD_DRIVE_4MA);
-    for (uint32_t pin = 0; pin < 16U; pin++) {
+    for (uint32_t pin = 0; pin < PIN_MARK; pin++) {
         if (((RIG_DRIVES >> pin) & 1U) != 0U) {  // not driven yet, and pulled as the controller pulls
-            pin_use(pin, FUNCTION_PIO0, PAD_INPUT | PAD_SCHMITT | PAD_DRIVE_2MA | PAD_PULL_UP);
+            const uint32_t pull = (pin == PIN_INTERLOCK_ANTIVALENT) ? PAD_PULL_DOWN : PAD_PULL_UP;
+            pin_use(pin, FUNCTION_PIO0, PAD_INPUT | PAD_SCHMITT | PAD_DRIVE_2MA | pull);
         } else if (((RIG_LOOKS >> pin) & 1U) != 0U) {
             pin_use(pin, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_DOWN);
         }

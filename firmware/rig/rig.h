@@ -7,13 +7,14 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "../pins.h"
 #include "wire.h"
 
-#define PIN_MARK 16U  // the rig's own: everything begins when it rises
+#define PIN_MARK 17U  // the rig's own: everything begins when it rises
 
-// Pins the rig may drive: the controller's inputs. Those it only looks at: the controller's outputs.
-#define RIG_DRIVES 0x0000D884U
-#define RIG_LOOKS 0x00000778U
+// Pins the rig may drive: the controller's inputs that a player's list reaches. Those it only looks at: its outputs.
+#define RIG_DRIVES (INPUT_PINS & 0x0000FFFFU)
+#define RIG_LOOKS (OUTPUT_PINS & ~(1U << PIN_STATUS))
 
 // ---- bench.c: pins, player, recorder ----
 

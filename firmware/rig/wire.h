@@ -3,7 +3,7 @@
 #ifndef ANNULUS_RIG_WIRE_H
 #define ANNULUS_RIG_WIRE_H
 
-#define RIG_PROTOCOL 1
+#define RIG_PROTOCOL 2  // 1: had no GP13 and no GP16
 
 #define RIG_PAYLOAD_MAX 240   // bytes
 #define RIG_WORDS_MAX 56      // of a `list` or `data` frame

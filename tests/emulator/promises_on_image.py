@@ -2,7 +2,7 @@
 
 from emulated import BOOTED, MS, EmulatedBoard
 
-from annulus.controller import PIN_END_HIGH, PIN_END_LOW, PIN_INTERLOCK
+from annulus.controller import PIN_END_HIGH, PIN_END_LOW, PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT
 from annulus.link.codec import Frame, encode
 from annulus.link.messages import Command, IdentifyReply, Reply, Status
 from annulus.selftest.rig.board import EdgeIn, Played, Scene
@@ -18,6 +18,7 @@ class PromiseBoard:
     def __init__(self, board: EmulatedBoard) -> None:
         self.board = board
         board.input(*[(board.now, pin, 0) for pin in (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)])
+        board.input((board.now, PIN_INTERLOCK_ANTIVALENT, 1))
         board.run(max(BOOTED, board.now) + 80 * MS)  # what the last burst before the reset may owe is paid
         board.identify()
 

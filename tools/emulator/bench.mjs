@@ -12,7 +12,7 @@ import { listen } from './listen.mjs';
 import { Pair } from './pair.mjs';
 
 const VALUES = ['--serve', '--serve-rig', '--serve-usb', '--serve-rig-usb', '--ppm', '--jumpers'];
-const ALL = [...INPUT_PINS, ...OUTPUT_PINS].filter((pin) => pin < 16).map((pin) => [pin, pin]);
+const ALL = [...INPUT_PINS, ...OUTPUT_PINS].filter((pin) => pin < 17).map((pin) => [pin, pin]);
 const STEP = 50_000; // ticks between two looks at the sockets: what a host on a cable would wait, no more
 const BEHIND_MAX = 50_000_000n; // what the wall clock is ahead by more than this is given up
 

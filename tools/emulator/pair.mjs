@@ -11,7 +11,7 @@ import { INPUT_PINS, OUTPUT_PINS } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
 
 const RAM = 0x20000000;
-const MARK = 16; // of the rig: what it gives itself to begin with
+const MARK = 17; // of the rig: what it gives itself to begin with
 const RIG = {
   inputs: OUTPUT_PINS.filter((pin) => pin < MARK),
   outputs: [...INPUT_PINS, MARK],

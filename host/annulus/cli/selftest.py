@@ -33,7 +33,7 @@ def rig(
 ) -> None:
     """Every promise of the controller that its pins can show, to 10 ns. Status 1: one is broken.
 
-    Eight jumpers, each from a pin to the same pin of the other board, ground among them; six more for all of it.
+    Eight jumpers, each from a pin to the same pin of the other board, ground among them; eight more for all of it.
     """
     from annulus.selftest.rig.run import BEFORE_IT_BEGINS, render_table, run_rig, verdict_line
 

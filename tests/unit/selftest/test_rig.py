@@ -98,7 +98,7 @@ def test_a_list_plays_every_edge_at_its_tick_or_as_soon_as_it_can(edges: list[tu
 
 def test_the_picture_in_the_manual_is_of_these_jumpers() -> None:
     assert picture.OUT.read_text(encoding="utf-8") == picture.drawn()
-    assert picture.drawn().count("<line") == 14
+    assert picture.drawn().count("<line") == 16
 
 
 class Silence:

@@ -289,6 +289,20 @@ def positions_beyond_the_limits_are_refused(board: Board) -> str:
     return "8 of 8"
 
 
+@promised("The place, asked while it moves", "never goes back, and ends where it stands", PIN_STEP, unit="steps")
+def a_place_asked_while_it_moves_never_goes_back(board: Board) -> str:
+    ok(board, turntable(acceleration=0, start=0))
+    at = status(board).turntable
+    asks = [(LEAD + 2 * MS + i * 3 * MS, Status()) for i in range(12)]
+    orders = [(MS // 2, Move(position=at + 400, period=FAST, hold=0)), *asks]
+    played = board.play(Scene(until=LEAD + 60 * MS, watch=(PIN_STEP,), orders=orders, after=LAG))
+    told = [reply.turntable - at for reply in played.replies if isinstance(reply, StatusReply)]
+    seen = f"{len(told)} times, {told[0]} .. {told[-1]} of 400"
+    expect(told == sorted(told) and told[0] >= 0 and told[-1] <= 400, seen)
+    expect(stands(played) == at + 400 == at + len(played.rises(PIN_STEP)), seen)
+    return seen
+
+
 @promised("Direction", "follows the sign of the move", PIN_STEP, PIN_DIRECTION, unit="")
 def direction_is_that_of_the_move(board: Board) -> str:
     at = status(board).turntable

@@ -18,6 +18,7 @@ from annulus.controller import (
     PIN_END_HIGH,
     PIN_END_LOW,
     PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
     PIN_ODOMETER_A,
     PIN_ODOMETER_B,
     PIN_SYNC,
@@ -27,11 +28,17 @@ from annulus.link.client import Client
 from annulus.link.messages import (
     Arm,
     ArmFlag,
+    CameraTrigger,
     Clear,
     Command,
+    Commit,
     Edge,
     Event,
     IdentifyReply,
+    Interlock,
+    InterlockFlag,
+    Polarity,
+    PolarityFlag,
     Reply,
     Reset,
     Status,
@@ -41,6 +48,7 @@ from annulus.link.messages import (
 from annulus.link.problems import too_old
 from annulus.link.session import Answer, EventReceived, Unanswered, identify
 from annulus.selftest.rig.board import MS, EdgeIn, Fine, NotKeptError, Played, Scene
+from annulus.selftest.rig.promises import camera, configuration
 from annulus.selftest.rig.recording import merged, play_list, samples, track
 from annulus.selftest.rig.wire import (
     AREA_WORDS,
@@ -59,8 +67,9 @@ from annulus.selftest.rig.wire import (
 )
 from annulus.vocabulary import AnnulusError
 
-DRIVEN = (PIN_SYNC, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
-AT_REST = sum(1 << pin for pin in (PIN_SYNC, PIN_ODOMETER_A, PIN_ODOMETER_B))  # interlock and end switches closed
+HIGH_AT_REST = (PIN_SYNC, PIN_INTERLOCK_ANTIVALENT, PIN_ODOMETER_A, PIN_ODOMETER_B)
+DRIVEN = (*HIGH_AT_REST, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)
+AT_REST = sum(1 << pin for pin in HIGH_AT_REST)  # interlock and end switches closed
 SLOW_PINS = (PIN_DIRECTION, PIN_ENABLE)  # known to some microseconds
 BEGINS = 100  # ticks: the first edge of a scene at the earliest
 COMPARED_MS = 200  # one tick of it is 0.05 ppm
@@ -74,6 +83,7 @@ EARLY_S = 30.0  # a scene that long overdue will not end
 OPENINGS = 3  # of a second each: nobody is there
 REFUSABLE_S = 10.0
 GOES_S, RETURNS_S, READ_S = 0.5, 8.0, 0.05  # a port whose board restarts
+FRAME = 200_000  # ticks: the shortest, so that no hold-off of a promise lasts into the next one
 PASSES = 4  # runs of noise for a question
 
 
@@ -142,11 +152,16 @@ class RigBoard:
         return reply
 
     def fresh(self) -> None:
-        """Nothing armed, nothing latched, nothing moves, all duty paid, inputs at rest."""
+        """Nothing armed, nothing latched, nothing moves, all duty paid, inputs at rest, wiring as after a reset."""
         self.rig.levels(self._drive, AT_REST)
         self._levels = AT_REST
         self.request(Arm(ArmFlag(0)))
-        self.play(Scene(until=OWED_MS * MS))
+        choices = (Polarity(1, PolarityFlag(0)), CameraTrigger(1, 0), Interlock(InterlockFlag(0)))
+        known = [command for command in choices if self.client.session.knows(type(command))]
+        for command in (configuration(period=FRAME), *known, Commit(1)):
+            self.request(command)
+        # The last promise's hold-off is over then, and with an edge this configuration's is in force.
+        self.play(Scene(until=(OWED_MS + 4) * MS, edges=camera([OWED_MS * MS])))
         self.identify()
         self.request(Clear())
         self.request(Turntable(-TURNTABLE_POSITION_MAX_STEPS, TURNTABLE_POSITION_MAX_STEPS, 0, 0, TurntableFlag(0)))

@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass
 from annulus.link.messages import StateFlag, Status, StatusReply
 from annulus.link.operate import text_of
 from annulus.selftest.promise import Row, Verdict
-from annulus.selftest.rig import lamps, line, microwave, motion
+from annulus.selftest.rig import lamps, line, microwave, motion, variants
 from annulus.selftest.rig.board import NotKeptError
 from annulus.selftest.rig.on_rig import RigBoard
 from annulus.selftest.rig.promises import Promise, entered
 from annulus.selftest.rig.wiring import jumper, missing_jumpers
 from annulus.vocabulary import AnnulusError
 
-MODULES = (lamps, microwave, motion, line)  # their promises, in this order
+MODULES = (lamps, microwave, motion, variants, line)  # their promises, in this order
 BEFORE_IT_BEGINS = (
     "This fires every output of the controller. Unplug the lamps, the microwave source, the turntable's driver, the\n"
     "camera and the interlock chain: nothing may hang on the controller but the rig's jumpers and USB."
@@ -90,6 +90,7 @@ def run_rig(device: str, rig: str, *, only: str | None = None, tell: Callable[[s
         for promise in promises:
             tell(promise.what)
             rows.append(_judged(board, promise, missing))
+        board.fresh()  # nothing stays turned over or triggered
         rows += [Row(what, "", "-", Verdict.NOT_TESTED, why=why) for what, why in NOT_CHECKED]
         who = board.client.identity
         info = board.client.session.info

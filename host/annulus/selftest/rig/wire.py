@@ -8,7 +8,7 @@ from enum import IntEnum
 from annulus.link.port import Port
 from annulus.vocabulary import AnnulusError
 
-PROTOCOL = 1
+PROTOCOL = 2
 PAYLOAD_MAX, WORDS_MAX = 240, 56
 LIST_WORDS, AREA_WORDS, TRACKS, SLOW_MAX = 8192, 49152, 7, 512
 TRACK_ODD, NONE = 0x80, 0xFF

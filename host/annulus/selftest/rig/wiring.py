@@ -6,11 +6,13 @@ its inputs is moved by the rig, and the controller says what it noticed.
 """
 
 from annulus.controller import (
+    PIN_CAMERA_TRIGGER,
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_END_HIGH,
     PIN_END_LOW,
     PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
     PIN_LED,
     PIN_MICROWAVE,
     PIN_ODOMETER_A,
@@ -27,7 +29,13 @@ from annulus.link.messages import (
     ArmFlag,
     Burst,
     BurstCode,
+    CameraTrigger,
+    Commit,
     Edge,
+    Hardware,
+    HardwareReply,
+    Interlock,
+    InterlockFlag,
     Move,
     StateFlag,
     Status,
@@ -39,16 +47,20 @@ from annulus.link.messages import (
 )
 from annulus.selftest.rig.board import MS, Played, Scene
 from annulus.selftest.rig.on_rig import RigBoard
-from annulus.selftest.rig.promises import arm, camera, configure, ok
+from annulus.selftest.rig.promises import arm, camera, configuration, configure, ok
 from annulus.vocabulary import AnnulusError
 
 NEEDED = (PIN_SYNC, PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_INTERLOCK, PIN_STEP)  # and ground: eight
-OPTIONAL = (PIN_DIRECTION, PIN_ENABLE, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
+OPTIONAL = (
+    PIN_DIRECTION, PIN_ENABLE, PIN_END_LOW, PIN_END_HIGH, PIN_INTERLOCK_ANTIVALENT, PIN_ODOMETER_A, PIN_ODOMETER_B,
+    PIN_CAMERA_TRIGGER,
+)  # fmt: skip
 NAMES = {
     PIN_SYNC: "frame sync", PIN_PROJECTOR: "projector gate", PIN_LED: "LED gate", PIN_MICROWAVE: "microwave gate",
     PIN_TRIGGER: "digitizer trigger", PIN_INTERLOCK: "interlock", PIN_STEP: "STEP", PIN_DIRECTION: "DIR",
     PIN_ENABLE: "ENABLE", PIN_END_LOW: "lower end switch", PIN_END_HIGH: "upper end switch",
-    PIN_ODOMETER_A: "odometer A", PIN_ODOMETER_B: "odometer B",
+    PIN_ODOMETER_A: "odometer A", PIN_ODOMETER_B: "odometer B", PIN_INTERLOCK_ANTIVALENT: "second interlock input",
+    PIN_CAMERA_TRIGGER: "camera trigger",
 }  # fmt: skip
 OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 PULSE = 3_000  # ticks of the gate, 30 us; the trigger's last 1 us
@@ -79,6 +91,9 @@ def missing_jumpers(board: RigBoard) -> frozenset[int]:
             _stage(board, missing, wrong)
             _ends(board, missing, wrong)
         _odometer(board, missing, wrong)
+        if board.client.session.knows(Interlock):
+            _second_input(board, missing)
+            _camera_trigger(board, missing, wrong)
     finally:
         board.slow_pins = (PIN_DIRECTION, PIN_ENABLE)
     gone = [pin for pin in NEEDED if pin in missing]
@@ -196,3 +211,25 @@ def _odometer(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
         wrong.append(f"{jumper(PIN_ODOMETER_A)} and {jumper(PIN_ODOMETER_B)} are crossed")
         return
     missing |= {pin for pin, by in ((PIN_ODOMETER_A, by_a), (PIN_ODOMETER_B, by_b)) if by == 0}
+
+
+def _second_input(board: RigBoard, missing: set[int]) -> None:
+    """Moved while nobody is armed: it says so, once configured."""
+    ok(board, Interlock(InterlockFlag.ANTIVALENT))
+    told = []
+    for level in (0, 1):
+        board.play(Scene(until=2 * MS, edges=[(MS, PIN_INTERLOCK_ANTIVALENT, level)]))
+        reply = board.request(Hardware())
+        assert isinstance(reply, HardwareReply)
+        told.append(InterlockFlag.ANTIVALENT_OPEN in reply.interlock)
+    ok(board, Interlock(InterlockFlag(0)))
+    if told != [True, False]:
+        missing.add(PIN_INTERLOCK_ANTIVALENT)
+
+
+def _camera_trigger(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
+    """Five of them, and nothing else."""
+    ok(board, configuration(period=200_000), CameraTrigger(1, 50_000), Commit(1))
+    played = board.play(Scene(until=10 * MS, watch=(PIN_CAMERA_TRIGGER,)))
+    ok(board, configuration(period=200_000), CameraTrigger(1, 0), Commit(1))
+    _found(board, PIN_CAMERA_TRIGGER, _moved(played), set(), missing, wrong)
