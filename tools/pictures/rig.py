@@ -51,8 +51,8 @@ def drawn() -> str:
     y = height - 14
     out += [
         f'<text x="40" y="{y}" fill="{NEEDED_INK}">solid: the eight that are needed</text>',
-        f'<text x="{WIDTH - 40}" y="{y}" text-anchor="end" fill="{OPTIONAL_INK}">dashed: eight more, for turntable,'
-        " odometer, second interlock input and camera trigger</text>",
+        f'<text x="{WIDTH - 40}" y="{y}" text-anchor="end" fill="{OPTIONAL_INK}">dashed: eight more, for every'
+        " promise</text>",
         "</svg>",
     ]
     return "\n".join(out) + "\n"
