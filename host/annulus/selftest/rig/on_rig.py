@@ -83,7 +83,7 @@ EARLY_S = 30.0  # a scene that long overdue will not end
 OPENINGS = 3  # of a second each: nobody is there
 REFUSABLE_S = 10.0
 GOES_S, RETURNS_S, READ_S = 0.5, 8.0, 0.05  # a port whose board restarts
-FRAME = 200_000  # ticks: the shortest, so that no hold-off of a promise lasts into the next one
+FRAME = 200_000  # ticks, between two promises: the shortest, so that no hold-off of it lasts into the next one
 PASSES = 4  # runs of noise for a question
 
 
@@ -156,15 +156,20 @@ class RigBoard:
         self.rig.levels(self._drive, AT_REST)
         self._levels = AT_REST
         self.request(Arm(ArmFlag(0)))
-        choices = (Polarity(1, PolarityFlag(0)), CameraTrigger(1, 0), Interlock(InterlockFlag(0)))
-        known = [command for command in choices if self.client.session.knows(type(command))]
-        for command in (configuration(period=FRAME), *known, Commit(1)):
-            self.request(command)
-        # The last promise's hold-off is over then, and with an edge this configuration's is in force.
-        self.play(Scene(until=(OWED_MS + 4) * MS, edges=camera([OWED_MS * MS])))
+        for width in (FRAME // 4, 0):  # triggers taken back end a hold-off, and forget one that waited for an edge
+            self._request_known(
+                configuration(period=FRAME), Polarity(1, PolarityFlag(0)), CameraTrigger(1, width), Commit(1)
+            )
+        self.play(Scene(until=OWED_MS * MS, edges=camera([MS])))  # from that edge on this hold-off is in force
         self.identify()
-        self.request(Clear())
-        self.request(Turntable(-TURNTABLE_POSITION_MAX_STEPS, TURNTABLE_POSITION_MAX_STEPS, 0, 0, TurntableFlag(0)))
+        far = TURNTABLE_POSITION_MAX_STEPS
+        self._request_known(Interlock(InterlockFlag(0)), Clear(), Turntable(-far, far, 0, 0, TurntableFlag(0)))
+
+    def _request_known(self, *commands: Command) -> None:
+        """Those that its firmware has."""
+        for command in commands:
+            if self.client.session.knows(type(command)):
+                self.request(command)
 
     def ask(self, command: Command) -> Reply | None:
         """An older firmware breaks the promise that needs a command it does not know, and no other."""
