@@ -158,7 +158,7 @@ class RigBoard:
         self.request(Arm(ArmFlag(0)))
         for width in (FRAME // 4, 0):  # triggers taken back end a hold-off, and forget one that waited for an edge
             self._request_known(
-                configuration(period=FRAME), Polarity(1, PolarityFlag(0)), CameraTrigger(1, width), Commit(1)
+                configuration(period=FRAME), Polarity(1, PolarityFlag(0)), CameraTrigger(1, width, 0), Commit(1)
             )
         self.play(Scene(until=OWED_MS * MS, edges=camera([MS])))  # from that edge on this hold-off is in force
         self.identify()

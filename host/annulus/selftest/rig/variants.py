@@ -51,6 +51,7 @@ from annulus.selftest.rig.promises import (
     span,
 )
 
+LATE = 60  # ticks of an edge to the trigger it begins, beyond its delay
 TURNED_LAMPS = PolarityFlag.SYNC | PolarityFlag.PROJECTOR | PolarityFlag.LED
 TURNED_BURST = PolarityFlag.MICROWAVE | PolarityFlag.TRIGGER
 NONE = PolarityFlag(0)
@@ -62,10 +63,10 @@ OPENINGS = 6
 DISAGREED = (INTERLOCK_DISAGREE_MS + 2) * MS
 
 
-def wired(board: Board, inverted: PolarityFlag, *, trigger: int = 0, **timing: int) -> None:
+def wired(board: Board, inverted: PolarityFlag, *, trigger: int = 0, begins: int = 0, **timing: int) -> None:
     """Such a head's configuration, in force."""
     stage = configuration(**timing)
-    ok(board, stage, Polarity(1, inverted), CameraTrigger(1, trigger), Commit(1), Preamble(0, 0, 0))
+    ok(board, stage, Polarity(1, inverted), CameraTrigger(1, trigger, begins), Commit(1), Preamble(0, 0, 0))
 
 
 def low_pulses(played: Played, pin: int) -> list[tuple[float, float]]:
@@ -175,13 +176,34 @@ def a_triggers_end_is_an_edge_and_the_sync_input_is_nobodys(board: Board) -> str
 
 
 @promised(
+    "Triggers begun by edges, others refused", "delay + 60 at most; edges as ever", PIN_SYNC, *LAMPS, PIN_CAMERA_TRIGGER
+)
+def an_accepted_edge_begins_a_trigger_and_stays_the_edge(board: Board) -> str:
+    count, begins = 20, 150_001
+    wired(board, NONE, trigger=EXPOSED, begins=begins, ratio=1, **FLASHES)
+    ok(board, Arm(ArmFlag.LAMPS))
+    edges = frames(count, CLOCK)
+    noise = camera([edge + 60_000 for edge in edges], low=500)  # within the hold-off
+    scene = Scene(until=int(edges[-1]) + CLOCK, edges=camera(edges) + noise, watch=(PIN_CAMERA_TRIGGER, *LAMPS))
+    played = board.play(scene)
+    falls = sorted(played.falls_played(PIN_SYNC))[::2]
+    seen = follows(board, [tick for tick, _ in lit(played)], falls, FLASHES["delay"])
+    rises, widths = played.rises(PIN_CAMERA_TRIGGER), played.widths(PIN_CAMERA_TRIGGER)
+    expect(len(rises) == count and all_near(board, widths, EXPOSED), f"{len(rises)} triggers of {span(widths)}; {seen}")
+    late = [rise - fall - begins for rise, fall in zip(rises, falls, strict=True)]
+    seen = f"delay + {span(late)}; {seen.replace('delay', 'lamps')}"
+    expect(min(late) >= -board.slack(begins) and max(late) <= LATE + board.slack(begins), seen)
+    return seen
+
+
+@promised(
     "Triggers in a slow sync input's place", "no end lost in its hold-off", PIN_SYNC, PIN_CAMERA_TRIGGER, unit="edges"
 )
 def no_end_of_a_trigger_is_lost_in_a_slow_inputs_hold_off(board: Board) -> str:
     wired(board, NONE, period=4_000_000)
     before, at = rejected(board), 47 * MS
     slower = [configuration(generation=2, period=8_000_000), Commit(2)]  # whose hold-off waits for an edge
-    triggered = [configuration(generation=3, **FLASHES), CameraTrigger(3, 100), Commit(3)]
+    triggered = [configuration(generation=3, **FLASHES), CameraTrigger(3, 100, 0), Commit(3)]
     orders = [(at, command) for command in [*slower, *triggered]]
     scene = Scene(until=at, edges=camera([MS, at - MS]), watch=(PIN_CAMERA_TRIGGER,), orders=orders, after=20 * MS)
     played = board.play(scene)
@@ -196,7 +218,7 @@ def no_end_of_a_trigger_is_lost_in_a_slow_inputs_hold_off(board: Board) -> str:
 def other_flashes_do_not_touch_the_triggers(board: Board) -> str:
     wired(board, NONE, trigger=EXPOSED, ratio=1, **FLASHES)
     ok(board, Arm(ArmFlag.LAMPS))
-    again = [configuration(generation=2, ratio=0, **FLASHES), CameraTrigger(2, EXPOSED + 1), Commit(2)]
+    again = [configuration(generation=2, ratio=0, **FLASHES), CameraTrigger(2, EXPOSED + 1, 0), Commit(2)]
     other = [configuration(generation=3, ratio=0, **FLASHES | {"period": CLOCK + 1}), Commit(3)]
     orders = [(5 * MS, command) for command in again] + [(20 * MS, command) for command in other]
     scene = Scene(until=20 * MS, watch=(PIN_CAMERA_TRIGGER, PIN_LED), orders=orders, after=10 * MS)
@@ -215,9 +237,9 @@ def other_flashes_do_not_touch_the_triggers(board: Board) -> str:
 def a_trigger_that_does_not_fit_its_period_is_refused(board: Board) -> str:
     ok(board, configuration(period=CLOCK, delay=1_000, width=30_000, readout=0))
     for width in (1, 99, CLOCK - 99, CLOCK, 2**32 - 1):
-        got = board.request(CameraTrigger(1, width)).status
+        got = board.request(CameraTrigger(1, width, 0)).status
         expect(got is StatusCode.OUT_OF_RANGE, f"{width}: {got.name.lower()}")
-    ok(board, CameraTrigger(1, 100), CameraTrigger(1, CLOCK - 100), CameraTrigger(1, 0))
+    ok(board, CameraTrigger(1, 100, 0), CameraTrigger(1, CLOCK - 100, 0), CameraTrigger(1, 0, 0))
     return "5 of 5"
 
 

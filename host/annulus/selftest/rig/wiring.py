@@ -229,7 +229,7 @@ def _second_input(board: RigBoard, missing: set[int]) -> None:
 
 def _camera_trigger(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
     """Five of them, and nothing else."""
-    ok(board, configuration(period=200_000), CameraTrigger(1, 50_000), Commit(1))
+    ok(board, configuration(period=200_000), CameraTrigger(1, 50_000, 0), Commit(1))
     played = board.play(Scene(until=10 * MS, watch=(PIN_CAMERA_TRIGGER,)))
-    ok(board, configuration(period=200_000), CameraTrigger(1, 0), Commit(1))
+    ok(board, configuration(period=200_000), CameraTrigger(1, 0, 0), Commit(1))
     _found(board, PIN_CAMERA_TRIGGER, _moved(played), set(), missing, wrong)
