@@ -98,7 +98,7 @@ def test_the_rig_works_over_usb_on_both_ends(image: Path) -> None:
         ("slot-off-by-one", "order of the lamps", "Order of the lamps, ratio 0, 1, 4 and 15"),
         ("chip-of-49-ticks", "codes", "Built-in codes, 0.5 us chips, and their trigger"),
         ("first-step-before-the-driver-wakes", "25 steps", "25 steps of 200 us, then let go"),
-        ("polarity-changed-while-armed", "turned over", "Pins turned over while anything is armed"),
+        ("arming-the-microwave-drives-the-lamps", "forgets", "A restart forgets the wiring"),
         ("camera-trigger-a-tick-short", "triggers of a camera", "Triggers of a camera, the sync input busy"),
         (
             "second-input-looked-at-by-the-core-alone",
