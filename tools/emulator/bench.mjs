@@ -51,12 +51,11 @@ function serveUsb(machine, port, name) { // plugged in from the start; whoever c
   const tell = (what, more) => machine.host.do({ do: what, ...more }, machine.now);
   tell('attach');
   tell('close');
-  const send = listen(Number(port), name, (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
-  let wasThere = false; // a port that goes with its device hangs up, as a tty does
+  let send; // a port is there once the host has configured its device, and goes with it: then it hangs up, as a tty does
   return () => {
-    if (wasThere && machine.host.state === 'detached') send.hangUp();
-    wasThere = machine.host.isOpen || (wasThere && machine.host.state !== 'detached');
-    send(machine.host.read());
+    if (!send && machine.host.state === 'configured') send = listen(Number(port), name, (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
+    if (machine.host.state === 'detached') send?.hangUp();
+    send?.(machine.host.read());
   };
 }
 
