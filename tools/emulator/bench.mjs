@@ -14,6 +14,7 @@ import { Pair } from './pair.mjs';
 const VALUES = ['--serve', '--serve-rig', '--serve-usb', '--serve-rig-usb', '--ppm', '--jumpers'];
 const ALL = [...INPUT_PINS, ...OUTPUT_PINS].filter((pin) => pin < 17).map((pin) => [pin, pin]);
 const STEP = 50_000; // ticks between two looks at the sockets: what a host on a cable would wait, no more
+const STARTED = 5_000_000; // ticks in which both boards do; nobody connects before
 const BEHIND_MAX = 50_000_000n; // what the wall clock is ahead by more than this is given up
 
 function usage(message) {
@@ -59,6 +60,7 @@ function serveUsb(machine, port, name) { // plugged in from the start; whoever c
   };
 }
 
+pair.run(STARTED);
 const lines = [];
 for (const [machine, uart, usb, name] of [[pair.controller, given.serve, given['serve-usb'], 'controller'], [pair.rig, given['serve-rig'], given['serve-rig-usb'], 'rig']]) {
   const toUart = uart === undefined ? () => {} : listen(Number(uart), name, (bytes) => machine.write_serial(bytes));
@@ -71,8 +73,8 @@ for (const [machine, uart, usb, name] of [[pair.controller, given.serve, given['
 }
 
 const TICK_NS = BigInt(1e9 / TICK_HZ);
-const began = process.hrtime.bigint();
-let now = 0;
+const began = process.hrtime.bigint() - TICK_NS * BigInt(STARTED);
+let now = STARTED;
 let lost = 0n;
 function step() {
   const wall = (process.hrtime.bigint() - began) / TICK_NS - lost;
