@@ -110,7 +110,7 @@ class Motor:
         for run in runs:
             self._arrival(run)
             self._pace(run, bool(kept.stalls))
-            self._power(run, latched, bool(kept.stalls))
+            self._power(run, latched, kept)
             self._ended(run, kept, latched, slow)
             self._cause(run, kept, scene)
             if not kept.stalls:
@@ -172,7 +172,7 @@ class Motor:
             for other in kept.asked[: kept.asked.index(asked)]:
                 if isinstance(other.command, Turntable) and other.reply and other.reply.status == StatusCode.OK:
                     config = other.command
-            until = self._until(done, kept)
+            until = self._through(done.tick, kept)
             assert isinstance(asked.command, Move) and isinstance(done.event, TurntableDone)
             end = bisect_right(steps, (until, -2))  # a round later the next move may have begun
             for fewer in range(bisect_right(steps, (done.tick, -2)), end):
@@ -187,11 +187,11 @@ class Motor:
         insist(at == len(steps), "steps of no move", steps[at][0] if at < len(steps) else 0)
         return runs
 
-    def _until(self, done: Told, kept: Kept) -> int:
-        """The report is stamped when its round began, in which the main loop may have been held."""
-        until = done.tick + self.player.board.round_max
+    def _through(self, tick: int, kept: Kept) -> int:
+        """A round that was under way at a tick is through by then: the main loop may have been held in it."""
+        until = tick + self.player.board.round_max
         for begin, end in sorted(kept.stalls):  # one may begin within another
-            if done.tick <= begin <= until:
+            if tick <= begin <= until:
                 until = max(until, end + self.player.board.round_max)
         return until
 
@@ -218,7 +218,7 @@ class Motor:
                 second,
             )
 
-    def _power(self, run: Run, latched: list[int], stalled: bool) -> None:
+    def _power(self, run: Run, latched: list[int], kept: Kept) -> None:
         """ENABLE once it stands and from a fault on; and for how long the rotor may swing."""
         first = run.steps[0][0] if run.steps else run.done.tick  # before that it may have waited to be read
         cut = [tick for tick in latched if first < tick <= run.done.tick]
@@ -230,9 +230,10 @@ class Motor:
         margin = run.until - run.done.tick
         gone_at = next((tick for tick, level in self.enable if level and tick > last), 1 << 62)
         early = bool(run.steps) and gone_at < last + LAG
-        faulty = any(abs(gone_at - when) <= margin for when in latched)
+        told_by = self._through(gone_at, kept)  # a fault is stamped once all is cut, in that round
+        faulty = any(gone_at - margin <= when <= told_by for when in latched)
         insist(not early or faulty, f"{run.move}: the power gone {(gone_at - last) / US:.0f} us after a step", gone_at)
-        if not run.move.hold and not run.followed and not stalled:
+        if not run.move.hold and not run.followed and not kept.stalls:
             gone = self._levels(run.until + LAG + margin, 1 << 62)
             insist(gone == {1}, f"{run.move}: the power stays on", run.done.tick)
         for tick in cut:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from annulus.controller import (
+    CAMERA_TRIGGER_MIN_TICKS,
     PIN_CAMERA_TRIGGER,
     PIN_DIRECTION,
     PIN_ENABLE,
@@ -67,6 +68,9 @@ RESET_TAKES = 700 * MS  # with the loader's work, and what the flash has in hand
 MOTOR = (PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 
 
+Trigger = tuple[int, int]  # of cameras: period and width
+
+
 @dataclass(slots=True)
 class Asked:
     """One command, when it was on its way, and what came back."""
@@ -104,7 +108,9 @@ class Kept:
     unplugged: list[int] = field(default_factory=list)
     noise: list[int] = field(default_factory=list)
     falls: list[int] = field(default_factory=list)
-    doubtful: set[int] = field(default_factory=set)  # of these, ends of triggers cut off by a commit
+    doubtful: set[int] = field(default_factory=set)  # of these, those that may count or not: the clock just changed
+    trigger: Trigger | None = (0, 0)  # of cameras, in force before; None where that is not known
+    restarts: list[tuple[int, int]] = field(default_factory=list)  # from when to when the edges' clock may have changed
     boots: int = 0  # the controller began anew
     first: StatusReply | None = None
     last: StatusReply | None = None
@@ -139,6 +145,7 @@ class Player:
         self.high: dict[int, int] = {}  # pins that are high, since when
         self.high_since_boot = 0
         self.motor: list[Edge] = []  # transitions of the turntable's pins, until somebody takes them
+        self._trigger: Trigger | None = (0, 0)
         self._sequence = [itertools.count(), itertools.count()]
         self._decoders = (Decoder(), Decoder())
         self._line_free = [0, 0]
@@ -263,13 +270,7 @@ class Player:
         self.run(begin + last)
         self.run(max(end for _, end in [*self.kept.stalls, (0, 0)]) + MS)
         self._finish(scene)
-        if scene.trigger:
-            since = next(asked.sent for asked in self.kept.asked if asked.reply is self.kept.first)
-            self.kept.falls = [fall for _, fall in self.kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]
-            changes = [(a.sent, a.answered) for a in self.kept.asked if isinstance(a.command, Commit)]
-            for sent, done in changes:  # and the first end after it, which may come within a hold-off
-                cut = [fall for fall in self.kept.falls if sent <= fall <= done]
-                self.kept.doubtful.update(cut, [fall for fall in self.kept.falls if fall > done][:1])
+        self._trigger = edges_of(self.kept)
         self.edges += len(self.kept.falls)
         return True
 
@@ -318,7 +319,7 @@ class Player:
         elif scene.line == UART and board.connected():
             board.plug(False)
         self.run(board.now + 5 * MS)
-        self.kept = Kept(began=board.now)
+        self.kept = Kept(began=board.now, trigger=self._trigger)
         self._must(Arm(outputs=ArmFlag(0)))
         self._identify(scene.level)
         self._must(Clear())
@@ -424,3 +425,45 @@ def dimmed(config: Stage) -> Stage:
         projector_width=min(most, config.projector_width),
         led_width=min(most, config.led_width),
     )
+
+
+def edges_of(kept: Kept) -> Trigger | None:
+    """Finds the falls that are the controller's edges: of the sync input, or of the cameras' triggers while it makes
+    them. What of these is in force in the end.
+    """
+    since = next(asked.sent for asked in kept.asked if asked.reply is kept.first)
+    clocks = {False: kept.falls, True: [fall for _, fall in kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]}
+    kept.falls, begin, makes = [], 0, bool(kept.trigger and kept.trigger[1])
+    changes, force = triggers(kept, kept.trigger)
+    for sent, done, (_, width) in changes:
+        kept.restarts.append((sent, done))
+        kept.falls += [fall for fall in clocks[makes] if begin <= fall < sent]
+        makes, begin = width > 0, done + 1
+        either = sorted(fall for falls in clocks.values() for fall in falls if sent <= fall <= done)
+        kept.falls += either
+        kept.doubtful.update(either, [fall for fall in clocks[makes] if fall > done][:1])  # which ends no hold-off
+    kept.falls += [fall for fall in clocks[makes] if begin <= fall]
+    unsure = kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit))
+    return None if unsure else force
+
+
+def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, Trigger]], Trigger]:
+    """When what is in force of them may have changed, and to what; and what is in force in the end. `before`: in force
+    at first, where that is known.
+    """
+    force = staged = before or (0, 0)
+    changes: list[tuple[int, int, Trigger]] = []
+    for asked in kept.asked:
+        command = asked.command
+        if asked.reply is None or asked.reply.status != StatusCode.OK:
+            continue
+        if isinstance(command, Stage):
+            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
+            staged = (command.frame_period, force[1] if room else 0)
+        elif isinstance(command, CameraTrigger):
+            staged = (staged[0], command.width)
+        elif isinstance(command, Commit):
+            if (before is None and not changes) or (staged != force and (staged[1] or force[1])):
+                changes.append((asked.sent, asked.answered, staged))
+            force = staged
+    return changes, force

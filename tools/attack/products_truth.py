@@ -6,7 +6,6 @@ from bisect import bisect_left, bisect_right
 from itertools import pairwise
 
 from annulus.controller import (
-    CAMERA_TRIGGER_MIN_TICKS,
     PIN_CAMERA_TRIGGER,
     PIN_INTERLOCK,
     PIN_MICROWAVE,
@@ -16,7 +15,7 @@ from annulus.controller import (
 )
 from annulus.link.messages import (
     Arm,
-    CameraTrigger,
+    Booted,
     Clear,
     Commit,
     Edge,
@@ -26,7 +25,6 @@ from annulus.link.messages import (
     Identify,
     Measure,
     Move,
-    Stage,
     StatusCode,
     StatusReply,
     UpdateBegin,
@@ -35,7 +33,7 @@ from annulus.link.messages import (
 )
 from annulus.vocabulary import EdgeFlag
 from tools.attack.boards import MS, insist
-from tools.attack.play import Asked, Kept, Told
+from tools.attack.play import Asked, Kept, Told, triggers
 from tools.attack.scenes import Scene
 
 LATCHING = {
@@ -53,6 +51,10 @@ UPDATE_SILENCE = UPDATE_SILENCE_MS * MS
 
 def accepted(asked: Asked) -> bool:
     return asked.reply is not None and asked.reply.status == StatusCode.OK
+
+
+def is_latching(event: Event) -> bool:
+    return isinstance(event, Booted) or (isinstance(event, Fault) and event.fault in LATCHING)
 
 
 # ---- the interlock ----
@@ -119,28 +121,13 @@ def first_fault_stays(kept: Kept, told: list[Told], scene: Scene) -> None:
 # ---- the cameras' clock ----
 
 
-def camera_trigger(kept: Kept, scene: Scene, before: tuple[int, int] | None) -> tuple[int, int] | None:
-    """Exact period and width, but where a commit changed them. What is in force after it, (period, width); None if not
-    known.
-    """
-    force = staged = before or (0, 0)
-    changes: list[tuple[int, int, tuple[int, int]]] = []
-    for asked in kept.asked:
-        command = asked.command
-        if not accepted(asked):
-            continue
-        if isinstance(command, Stage):
-            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
-            staged = (command.frame_period, force[1] if room else 0)
-        elif isinstance(command, CameraTrigger):
-            staged = (staged[0], command.width)
-        elif isinstance(command, Commit):
-            if staged != force or before is None:
-                changes.append((asked.sent, asked.answered, staged))
-            force = staged
+def camera_trigger(kept: Kept) -> None:
+    """Exact period and width, but where a commit changed them."""
+    before = kept.trigger
+    changes, _ = triggers(kept, before)
     pulses = kept.pulses.get(PIN_CAMERA_TRIGGER, [])
     if kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit)):
-        return None
+        return
     at, (period, width) = 0, before or (0, 0)
     known = before is not None
     for sent, answered, (new_period, new_width) in [*changes, (1 << 62, 1 << 62, (0, 0))]:
@@ -153,7 +140,6 @@ def camera_trigger(kept: Kept, scene: Scene, before: tuple[int, int] | None) -> 
         for (first, _), (second, _) in pairwise(mine):
             insist(second - first == period, f"a trigger after {second - first} ticks, due {period}", second)
         at, (period, width) = bisect_right(pulses, (answered, 0)), (new_period, new_width)
-    return force
 
 
 # ---- an update ----

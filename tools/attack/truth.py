@@ -6,61 +6,35 @@ Knows nothing of how the firmware does it. Every check raises BrokenPromiseError
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 
-from annulus.controller import (
-    LAMP_DUTY_MAX_PERMILLE,
-    LAMP_WIDTH_MAX_TICKS,
-    PIN_LED,
-    PIN_PROJECTOR,
-)
 from annulus.link.messages import (
     EVENT_RING,
     Arm,
     ArmFlag,
-    Booted,
     Burst,
-    Commit,
-    Configured,
     Edge,
-    Event,
     Fault,
     FaultCode,
     Reread,
     RereadReply,
     Reset,
-    Stage,
     StatusCode,
-    StatusReply,
     SyncLost,
 )
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus.vocabulary import EdgeFlag
 from tools.attack import products_truth
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
+from tools.attack.edges import Edges, asked_at
 from tools.attack.limits import Limits
 from tools.attack.motor import Motor
 from tools.attack.odometer import odometer
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 from tools.attack.silence import silence
-from tools.attack.slots import Slots, is_order, order_at, orders_kept
 from tools.attack.trains import trains
 
 US = MS // 1000
-LATCHING = {
-    FaultCode.INTERLOCK,
-    FaultCode.HOST_TIMEOUT,
-    FaultCode.WATCHDOG,
-    FaultCode.LIMIT,
-    FaultCode.INTERLOCK_DISAGREES,
-}
-LAMP_PINS = {Lamp.PROJECTOR: PIN_PROJECTOR, Lamp.LED: PIN_LED}
 WATCHDOG = 100 * MS
 STALLED = 2 * MS  # a round after the main loop stood still: within the guard's credit
-FLASH_OWES = LAMP_WIDTH_MAX_TICKS * 1000 // LAMP_DUTY_MAX_PERMILLE
-
-
-def holdoff(config: Stage) -> int:
-    """In ticks."""
-    return config.frame_period - config.frame_period * config.tolerance // 1000
 
 
 class Truth:
@@ -71,12 +45,9 @@ class Truth:
         self.board: Board = player.board
         self.limits = Limits(player)
         self.motor = Motor(player)
-        self.slots = Slots()
+        self.edges = Edges(player)
         self.longest = 0  # ticks a round took
         self.round = 0  # and of the scene's rounds the longest
-        self.trigger: tuple[int, int] | None = (0, 0)  # of cameras, in force: period and width
-        self.before: Stage | None = None  # in force when the scene began
-        self.earlier: list[Stage] = []  # in force since the last scene in which an edge counted began
 
     def judge(self, scene: Scene) -> list[str]:
         """What was broken, each check's first."""
@@ -85,7 +56,7 @@ class Truth:
             lambda: self.limits.judge(kept),
             lambda: self._interlock(kept, scene),
             lambda: self._boots(kept, scene),
-            lambda: self._trigger(kept, scene),
+            lambda: products_truth.camera_trigger(kept),
             lambda: products_truth.update(kept),
             lambda: self._answers(kept),
             self._round,
@@ -97,12 +68,14 @@ class Truth:
             checks += [
                 lambda: self._sequence(kept),
                 lambda: self._armed(kept, told),
-                lambda: silence(kept, told, scene.line, self._configs(kept), self._latched(kept, told), self.board),
+                lambda: silence(
+                    kept, told, scene.line, self.edges.configs(kept), self._latched(kept, told), self.board
+                ),
                 lambda: self.motor.judge(
-                    kept, told, scene, [i.tick for i in told if is_latching(i.event)], whole, self.round
+                    kept, told, scene, [i.tick for i in told if products_truth.is_latching(i.event)], whole, self.round
                 ),
                 lambda: self._faults(kept, told),
-                lambda: self._edges(kept, told, scene, whole),
+                lambda: self.edges.judge(kept, told, scene, whole),
                 lambda: self._sync(told, kept),
                 lambda: trains(kept, told, self.board.now) if whole and self._knows_trains(kept) else None,
                 lambda: self._counters(kept, told, whole),
@@ -111,7 +84,7 @@ class Truth:
                 lambda: self._rereads(kept),
             ]
         else:
-            self.slots.lost()
+            self.edges.slots.lost()
             both = [*kept.before, *(kept.told[index] for index in sorted(kept.told))]
             checks.append(lambda: self._armed(kept, both))
             checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False, longest=0))
@@ -134,9 +107,6 @@ class Truth:
     def _interlock(self, kept: Kept, scene: Scene) -> None:
         slow = self.board.round_max + sum(end - begin for begin, end in kept.stalls)
         products_truth.interlock(kept, scene, slow)
-
-    def _trigger(self, kept: Kept, scene: Scene) -> None:
-        self.trigger = products_truth.camera_trigger(kept, scene, self.trigger)
 
     def _odometer(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
         if products_truth.measured(kept):
@@ -213,7 +183,7 @@ class Truth:
     def _armed(self, kept: Kept, told: list[Told]) -> None:
         arms = [(asked, asked.command.outputs if isinstance(asked.command, Arm) else ArmFlag(0))
                 for asked in kept.asked if isinstance(asked.command, Arm | Reset)]  # fmt: skip
-        ends = [(item.tick, item.tick) for item in told if is_latching(item.event)]
+        ends = [(item.tick, item.tick) for item in told if products_truth.is_latching(item.event)]
 
         def permitted(tick: int, output: ArmFlag) -> bool:
             for order, (asked, outputs) in enumerate(arms):
@@ -261,7 +231,7 @@ class Truth:
             )
 
     def _latched(self, kept: Kept, told: list[Told]) -> list[int]:
-        return [*kept.unplugged, *(item.tick for item in told if is_latching(item.event))]
+        return [*kept.unplugged, *(item.tick for item in told if products_truth.is_latching(item.event))]
 
     def _surely_armed(self, kept: Kept, tick: int, latched: list[int]) -> bool:
         before = [a for a in kept.asked if isinstance(a.command, Arm) and a.sent < tick]
@@ -272,135 +242,11 @@ class Truth:
             return False
         return bool(getattr(last, "outputs", 0)) and not any(before[-1].sent <= when <= tick for when in latched)
 
-    # ---- edges ----
-
-    def _configs(self, kept: Kept) -> list[Stage]:
-        """What may have been in force during the scene."""
-        staged = [a.command for a in kept.asked if isinstance(a.command, Stage)]
-        return [*([self.before] if self.before else []), *staged]
-
-    def _edges(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
-        edges = [(item, item.event) for item in told if isinstance(item.event, Edge)]
-        by_generation: dict[int, Stage] = {c.generation: c for c in [scene.config]}
-        ambiguous: set[int] = set()
-        for asked in kept.asked:
-            if isinstance(asked.command, Stage) and asked.command is not scene.config:
-                if asked.command.generation in by_generation:
-                    ambiguous.add(asked.command.generation)
-                by_generation[asked.command.generation] = asked.command
-        sure = {generation: config for generation, config in by_generation.items() if generation not in ambiguous}
-        if not whole:
-            self.slots.lost()
-        falls = kept.falls
-        taken: list[int] = []
-        cuts = self._cuts(kept, told)
-        lit: dict[int, list[tuple[int, int]]] = {PIN_PROJECTOR: [], PIN_LED: []}
-        previous: Edge | None = None
-        slot_free = True
-        for item, edge in edges:
-            at = bisect_right(falls, item.tick) - 1
-            insist(at >= 0 and item.tick - falls[at] <= self.board.stamp, f"{edge}: no edge fell then", item.tick)
-            insist(not taken or falls[at] > taken[-1], f"{edge}: told twice", item.tick)
-            tick = falls[at]
-            if previous:
-                insist(not whole or edge.edge == previous.edge + 1, f"{edge} after {previous}", tick)
-                slot_free |= any(is_order(a) and taken[-1] - US <= a.answered and a.sent <= tick for a in kept.asked)
-            slot_free |= any(taken and taken[-1] <= when <= tick for when, _ in cuts)
-            before = previous if whole else None
-            self.slots.edge(edge, before, slot_free, sure, order_at(kept, taken[-2] if len(taken) > 1 else 0, tick))
-            slot_free = False
-            if edge.flags & EdgeFlag.LATE_LOAD:
-                self._late(kept, told, tick, taken[-1] if taken else 0)
-            elif edge.lamp in LAMP_PINS:
-                rise = tick + edge.delay + self.board.latency
-                lit[LAMP_PINS[edge.lamp]].append((rise, rise + edge.width))
-                self._flash(kept, edge, rise, tick, cuts)
-            taken.append(tick)
-            previous = edge
-        for pin, wanted in lit.items():
-            starts = {rise for rise, _ in wanted}
-            for rise, fall in kept.pulses.get(pin, ()):
-                insist(
-                    rise in starts or not whole, f"GP{pin} lit for {fall - rise} ticks, of which no event tells", rise
-                )
-        if whole:
-            self._accepted(kept, taken)
-            orders_kept(kept, list(zip(taken, (edge for _, edge in edges), strict=True)))
-        self.earlier = [*([] if taken else self.earlier), *self._configs(kept)]
-        self.before = by_generation.get(kept.last.generation) if kept.last else None
-
-    def _cuts(self, kept: Kept, told: list[Told]) -> list[tuple[int, int]]:
-        """What may end a flash: from when to when it may have acted."""
-        orders = [(a.sent, a.answered) for a in kept.asked if isinstance(a.command, Arm)
-                  and not a.command.outputs & ArmFlag.LAMPS]  # fmt: skip
-        slow = sum(end - begin for begin, end in kept.stalls)
-        pulled = [(tick, tick + 5 * MS) for tick in kept.unplugged]
-        return [
-            *orders,
-            *pulled,
-            *((item.tick - MS - slow, item.tick + US) for item in told if is_latching(item.event)),
-        ]
-
-    def _flash(self, kept: Kept, edge: Edge, rise: int, tick: int, cuts: list[tuple[int, int]]) -> None:
-        pin = LAMP_PINS[edge.lamp]
-        pulses = kept.pulses.get(pin, [])
-        at = bisect_left(pulses, (rise, 0))
-        found = pulses[at] if at < len(pulses) and pulses[at][0] == rise else None
-        if found is None:
-            insist(any(low <= rise and high >= tick for low, high in cuts), f"{edge}: GP{pin} stayed dark", tick)
-        elif found[1] - found[0] != edge.width:
-            short = found[1] - found[0] < edge.width and any(low <= found[1] <= high for low, high in cuts)
-            insist(short, f"{edge}: GP{pin} was lit for {found[1] - found[0]} ticks, and nothing cut it", tick)
-
-    def _late(self, kept: Kept, told: list[Told], tick: int, previous: int) -> None:
-        """Allowed after a main loop held up, an edge just before, or an order that changes what is loaded."""
-        patience = self.board.round_max
-        configured = [i for i in told if isinstance(i.event, Configured) and previous <= i.tick <= tick]
-        reasons = (
-            previous == 0 or tick - previous < patience,
-            previous - self.board.origin < FLASH_OWES,  # by then a flash of before a reset is paid for
-            len(configured) > 1,  # two hold-offs
-            configured and self._owes(kept, previous, tick),  # dark time that an earlier edge would not pay
-            any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
-            any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if reloads_flash(a)),
-            any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),
-        )
-        insist(any(reasons), "late_load, and nothing held the main loop up", tick)
-
-    def _owes(self, kept: Kept, previous: int, tick: int) -> bool:
-        """Does a lamp owe dark time to the earliest edge after `previous`?"""
-        earliest = previous + min(map(holdoff, self._configs(kept)))
-        lit = [pulse for pin in LAMP_PINS.values() for pulse in kept.pulses.get(pin, ()) if pulse[0] < tick]
-        return any(fall + (fall - rise) > earliest for rise, fall in lit)
-
-    def _accepted(self, kept: Kept, taken: list[int]) -> None:
-        """Every edge outside the hold-off counts, none within it."""
-        holdoffs = [holdoff(config) for config in self._configs(kept)]
-        least, most = min(holdoffs), max(holdoffs)
-        # Changed twice before any edge came, the one before holds for one edge more.
-        first = min([least, *map(holdoff, self.earlier)]) if self.board.name != "native" else least
-        accepted = set(taken)
-        last: int | None = None
-        (_, low), (high, _) = self._asked(kept, kept.first), self._asked(kept, kept.last)
-        stalled = bool(kept.stalls)
-        for fall in kept.falls:
-            if not low < fall < high or (fall in kept.doubtful and fall not in accepted):
-                continue  # by itself, while its controller was asked how many there were
-            if fall in accepted:
-                insist(
-                    last is None or fall in kept.doubtful or fall - last >= (first if last == taken[0] else least) - 20,
-                    f"an edge {fall - (last or 0)} ticks after the last counted",
-                    fall,
-                )
-                last = fall
-            elif taken and last == taken[0] and self.board.name != "native":
-                continue
-            elif last is not None and not stalled:
-                insist(fall - last <= most + 20, f"an edge {fall - last} ticks after the last was refused", fall)
+    # ---- the camera ----
 
     def _sync(self, told: list[Told], kept: Kept) -> None:
         at_edge = {item.event.edge: item.tick for item in told if isinstance(item.event, Edge)}
-        periods = [c.frame_period for c in self._configs(kept)]
+        periods = [c.frame_period for c in self.edges.configs(kept)]
         slow = sum(end - begin for begin, end in kept.stalls)
         for item in told:
             if isinstance(item.event, SyncLost) and item.event.last_edge in at_edge:
@@ -412,18 +258,13 @@ class Truth:
 
     # ---- counters ----
 
-    @staticmethod
-    def _asked(kept: Kept, reply: StatusReply | None) -> tuple[int, int]:
-        """When a status was asked for, and answered."""
-        return next((asked.sent, asked.answered) for asked in kept.asked if asked.reply is reply)
-
     def _counters(self, kept: Kept, told: list[Told], whole: bool) -> None:
         first, last = kept.first, kept.last
         assert first
         assert last
         accepted, refused = last.edges - first.edges, last.rejected - first.rejected
         counts = self.board.name == "native" or not kept.stalls  # the emulator's stall holds interrupts up as well
-        (least, early), (late, most) = self._asked(kept, first), self._asked(kept, last)
+        (least, early), (late, most) = asked_at(kept, first), asked_at(kept, last)
         sure = bisect_right(kept.falls, late) - bisect_left(kept.falls, early) - len(kept.doubtful)
         most = bisect_right(kept.falls, most) - bisect_left(kept.falls, least)
         insist(
@@ -463,15 +304,3 @@ class Truth:
                 len(came) >= len(when),
                 f"event {index} was promised {len(when)} times by reread and came {len(came)} times",
             )
-
-
-def is_latching(event: Event) -> bool:
-    return isinstance(event, Booted) or (isinstance(event, Fault) and event.fault in LATCHING)
-
-
-def reloads_flash(asked: Asked) -> bool:
-    return isinstance(asked.command, (Arm, Commit))
-
-
-def reloads(event: Event) -> bool:
-    return isinstance(event, Configured) or (isinstance(event, Fault) and event.fault != FaultCode.LATE_LOAD)
