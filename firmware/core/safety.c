@@ -57,8 +57,8 @@ static void watch_interlock(controller_t* const self, const uint32_t now)
     const bool second = (inputs & INTERLOCK_ANTIVALENT_OPEN) != 0U;
     const bool disagreed = interlock->disagrees;
     interlock->disagrees = ((inputs & INTERLOCK_ANTIVALENT) != 0U) && (first != second);
-    if (!disagreed) {
-        interlock->since = now;
+    if (interlock->disagrees && !disagreed) {
+        interlock->since = board_tick();  // not `now`: they may have come to since this round began
     }
     if (!interlock->disagrees || interlock->distrusted ||
         (ticks_since(now, interlock->since) <= (int32_t)(INTERLOCK_DISAGREE_MS * TICKS_PER_MS))) {

@@ -76,6 +76,22 @@ static void inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_ow
     EXPECT_EQ(rig_count(EVENT_FAULT), 0);
 }
 
+// In whatever part of a round the main loop stood still: it took the tick at which that round began for the one at
+// which they came to disagree, and a relay that changed over was a fault.
+static void a_main_loop_held_up_does_not_make_a_contradiction_longer(void)
+{
+    for (uint64_t phase = 0; phase < 110U * US; phase += 97U) {
+        close_both();
+        rig_pass(phase);
+        native_stall_cpu(3 * MS);
+        const uint64_t opens = native_tick() + 3 * MS - 10U;
+        native_input(opens, PIN_INTERLOCK_ANTIVALENT, 0);
+        native_input(opens + (INTERLOCK_DISAGREE_MS * MS) - 50U * US, PIN_INTERLOCK_ANTIVALENT, 1);
+        rig_pass(20 * MS);
+        EXPECT_EQ(rig_count(EVENT_FAULT), 0);
+    }
+}
+
 static void a_contradiction_behind_another_fault_is_told_and_holds_up_clear(void)
 {
     close_both();
@@ -161,6 +177,7 @@ void interlock_tests(void)
     RUN(an_opening_beside_the_command_takes_a_held_motors_power_however_short);
     RUN(either_input_of_the_interlock_cuts_the_microwave_without_the_core);
     RUN(inputs_that_contradict_each_other_for_long_latch_a_fault_of_their_own);
+    RUN(a_main_loop_held_up_does_not_make_a_contradiction_longer);
     RUN(a_contradiction_behind_another_fault_is_told_and_holds_up_clear);
     RUN(a_host_of_an_earlier_level_is_told_of_an_open_interlock);
     RUN(the_interlocks_inputs_are_chosen_at_rest_by_who_commands);
