@@ -10,7 +10,6 @@ from annulus.controller import (
     PIN_ENABLE,
     PIN_END_HIGH,
     PIN_END_LOW,
-    PIN_INTERLOCK,
     PIN_STEP,
     TICK_HZ,
     TICKS_PER_US,
@@ -31,7 +30,8 @@ from annulus.link.messages import (
     TurntableStopped,
     TurntableStopReply,
 )
-from tools.attack.boards import MS, Edge, insist
+from tools.attack.boards import MS, insist
+from tools.attack.interlock import is_open
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 
@@ -149,7 +149,7 @@ class Motor:
                 self.config = command
             powered = isinstance(command, Arm) and command.outputs & ArmFlag.MICROWAVE
             if accepted and (isinstance(command, Move) or powered):
-                closed = not _high(kept, scene, PIN_INTERLOCK, asked.sent, asked.answered)
+                closed = not is_open(kept, scene, asked.sent, asked.answered)
                 insist(closed, f"{command} accepted, and the interlock was open", asked.sent)
             if isinstance(command, Move) and accepted:
                 insist(
@@ -289,14 +289,3 @@ class Motor:
                 if (which, level) == (pin, 1) and ticks[0] <= tick < ticks[-1]:
                     more = len(ticks) - bisect_left(ticks, tick)
                     insist(more <= most, f"{run.move}, {run.config}: {more} steps after its end switch", tick)
-
-
-def _high(kept: Kept, scene: Scene, pin: int, low: int, high: int) -> bool:
-    """Was an input high from one tick to another, and nothing else?"""
-    level, changed = 0, False
-    edges: list[Edge] = scene.inputs
-    for tick, which, new in edges:
-        if which == pin and kept.began + tick <= low:
-            level = new
-        changed |= which == pin and low < kept.began + tick <= high
-    return bool(level) and not changed

@@ -14,6 +14,7 @@ from annulus.controller import (
     PIN_END_HIGH,
     PIN_END_LOW,
     PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
     PIN_LED,
     PIN_MICROWAVE,
     PIN_PROJECTOR,
@@ -42,6 +43,8 @@ from annulus.link.messages import (
     Identify,
     Info,
     InfoReply,
+    Interlock,
+    InterlockFlag,
     Pattern,
     Polarity,
     PolarityFlag,
@@ -119,6 +122,7 @@ class Kept:
     before: list[Told] = field(default_factory=list)  # told by the boots that ended in the scene
 
 
+OPENS = {PIN_INTERLOCK: 1, PIN_INTERLOCK_ANTIVALENT: 0}  # level at which an input of the interlock says open
 AS_DRAWN = PolarityFlag(0)
 INVERTIBLE = {
     PIN_SYNC: PolarityFlag.SYNC,
@@ -260,7 +264,9 @@ class Player:
         begin = self.board.now + MS
         self.kept.began = begin
         self.kept.falls = [begin + tick for tick in scene.falls]
-        self.kept.opened = [begin + tick for tick, pin, level in scene.inputs if (pin, level) == (PIN_INTERLOCK, 1)]
+        contacts = (PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT) if scene.antivalent else (PIN_INTERLOCK,)
+        opened = [tick for tick, pin, level in scene.inputs if pin in contacts and level == OPENS[pin]]
+        self.kept.opened = [begin + tick for tick in opened]
         self.note(f"scene begins: {scene.config}, sync from {begin + scene.falls[0]}, {len(scene.falls)} edges")
         self.input([(begin + tick, pin, level) for tick, pin, level in scene.inputs])
         for tick, what, line, value in scene.actions:
@@ -307,7 +313,7 @@ class Player:
         board = self.board
         self.kept = Kept(began=board.now)
         self.input([(board.now, pin, 0) for pin in (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)])
-        self.input([(board.now, PIN_SYNC, 1)])
+        self.input([(board.now, PIN_SYNC, 1), (board.now, PIN_INTERLOCK_ANTIVALENT, 1)])
         if scene.erase:
             board.erase_takes(scene.erase)
         self.line = scene.line
@@ -332,6 +338,7 @@ class Player:
         if scene.level == LEVEL and self.level == LEVEL:
             self._must(Polarity(config.generation, self.inverted))
             self._must(CameraTrigger(config.generation, scene.trigger, 0))
+            self._must(Interlock(InterlockFlag.ANTIVALENT if scene.antivalent else InterlockFlag(0)))
         self._must(Commit(generation=config.generation))
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
         if scene.turntable and self.level == LEVEL:

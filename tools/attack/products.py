@@ -13,6 +13,7 @@ from annulus.controller import (
     PIN_END_HIGH,
     PIN_END_LOW,
     PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
     PREAMBLE_MAX,
     TURNTABLE_PERIOD_MIN_TICKS,
 )
@@ -41,11 +42,13 @@ from annulus.link.messages import (
     Wiring,
 )
 from tools.attack import themes
-from tools.attack.boards import MS, UART, US, USB
+from tools.attack.boards import MS, UART, US, USB, Edge
+from tools.attack.play import OPENS
 from tools.attack.scenes import LAMPS, MICROWAVE, Scene, legal_config, odometer_steps, sync_falls, waveform
 
 SCENES_A_BOARD = 20
-CONTACTS = (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)
+INTERLOCK = (PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT)
+CONTACTS = (*INTERLOCK, PIN_END_LOW, PIN_END_HIGH)
 BOTH = LAMPS | MICROWAVE
 ENDS = ("interlock", "bounce", "glimpse", "disarm", "lamps only", "stop train", "stop move", "switch", "stall",
         "commit", "preamble", "measure", "unplug", "late clear")  # fmt: skip
@@ -79,6 +82,7 @@ def draw(seed: int, number: int, board: str) -> Scene:
     chips = "".join(rng.choice(("1", "10", "100")) for _ in range(rng.randrange(1, 40)))
     scene = Scene(line, config, outputs, falls, waveform(rng, falls, steps), [], end, chips, steps, level=LEVEL)
     scene.trigger = camera_trigger(rng)
+    scene.antivalent = rng.random() < 0.5
     scene.preamble = Preamble(rng.choice((0, 3, PREAMBLE_MAX)), rng.choice((0, 1, 3)), 0)
     scene.turntable = themes.turntable(rng)
     keep_awake(scene)
@@ -91,7 +95,7 @@ def draw(seed: int, number: int, board: str) -> Scene:
         scene.resets = True
         scene.actions.append((end - 1, "send", line, Reset(magic=RESET_MAGIC)))
         scene.actions = [action for action in scene.actions if action[0] < end]
-        scene.inputs = [edge for edge in scene.inputs if edge[0] < end or edge[1] not in CONTACTS or edge[2] == 0]
+        scene.inputs = [edge for edge in scene.inputs if edge[0] < end or edge[1] not in CONTACTS or closes(edge)]
         scene.end += rng.choice((10 * US, MS, 3 * MS))
     elif rng.random() < 0.15:
         timeout = (config.host_timeout or 500) * MS
@@ -149,22 +153,41 @@ def meeting(rng: random.Random, scene: Scene, moment: int) -> None:
     send(after, Status(), Clear(), Arm(scene.outputs), burst_across(rng, scene.chips), Move(-far, period, 0))
 
 
+def closes(edge: Edge) -> bool:
+    return edge[2] != OPENS.get(edge[1], 1)
+
+
+def opening(rng: random.Random, scene: Scene, at: int, shut: int, one_only: int | None = None) -> None:
+    """Of the interlock. With two inputs one may come later than the other, as a relay's contacts do, or, as from a wire
+    that broke, alone; `one_only`: 0 the second, 1 the first, 2 both, together.
+    """
+    both = scene.antivalent
+    skew = rng.choice((0, 5, 50, 10 * US, MS, 3 * MS, 7 * MS)) if one_only is None else 0
+    alone = rng.choice((0, 1, 2, 2)) if one_only is None else one_only
+    late = rng.choice((0, 1))
+    for number, pin in enumerate(INTERLOCK):
+        if (pin == PIN_INTERLOCK and not (both and alone == 0)) or (pin != PIN_INTERLOCK and both and alone != 1):
+            begin = at + (skew if number == late else 0)
+            end = max(begin + 1, shut + (rng.choice((0, skew)) if number == late else 0))
+            scene.inputs += [(begin, pin, OPENS[pin]), (end, pin, 1 - OPENS[pin])]
+
+
 def end_by(rng: random.Random, scene: Scene, what: str, at: int, send) -> None:  # type: ignore[no-untyped-def]
     inputs, generation = scene.inputs, scene.config.generation % 255 + 1
-    opens = all(pin != PIN_INTERLOCK for _, pin, _ in inputs)  # two bounces would interleave
+    opens = all(pin not in INTERLOCK for _, pin, _ in inputs)  # two bounces would interleave
     match what:
         case "interlock" if opens:
             shut = at + rng.choice((50, 10 * US, MS, 15 * MS))
-            inputs += [(at, PIN_INTERLOCK, 1), (shut, PIN_INTERLOCK, 0)]
+            opening(rng, scene, at, shut)
             send(rng.randrange(at, shut), Clear(), Arm(scene.outputs), Status())
         case "bounce" if opens:
             for _ in range(rng.randrange(2, 8)):
                 length = rng.choice((5, 50, 10 * US, 200 * US, MS))
-                inputs += [(at, PIN_INTERLOCK, 1), (at + length, PIN_INTERLOCK, 0)]
+                opening(rng, scene, at, at + length, rng.randrange(3) if scene.antivalent else 1)
                 at += length + rng.choice((5, 50, 10 * US, MS))
             send(at - rng.randrange(MS), Clear(), Arm(scene.outputs))
         case "glimpse" if opens:
-            inputs += [(at, PIN_INTERLOCK, 1), (at + rng.randrange(1, 5), PIN_INTERLOCK, 0)]
+            opening(rng, scene, at, at + rng.randrange(1, 25 if scene.antivalent else 5), rng.randrange(3))
         case "disarm":
             send(at, Arm(ArmFlag(0)))
             if rng.random() < 0.5:

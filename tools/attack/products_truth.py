@@ -7,9 +7,6 @@ from itertools import pairwise
 
 from annulus.controller import (
     PIN_CAMERA_TRIGGER,
-    PIN_INTERLOCK,
-    PIN_MICROWAVE,
-    PIN_TRIGGER,
     UPDATE_CHUNK_BYTES,
     UPDATE_SILENCE_MS,
 )
@@ -43,8 +40,6 @@ LATCHING = {
     FaultCode.LIMIT,
     FaultCode.INTERLOCK_DISAGREES,
 }
-SEEN = 4  # ticks that an interlock must be open for hardware to see it; shorter, the core cuts within a round
-CUT = 10  # ticks from then to the gate low; a chip is at least as long
 SETTLED = 40  # ticks by which an edge and a transition of the odometer may change places
 UPDATE_SILENCE = UPDATE_SILENCE_MS * MS
 
@@ -57,36 +52,6 @@ def is_latching(event: Event) -> bool:
     return isinstance(event, Booted) or (isinstance(event, Fault) and event.fault in LATCHING)
 
 
-# ---- the interlock ----
-
-
-def open_spans(kept: Kept, scene: Scene) -> list[tuple[int, int]]:
-    """From when to when it was open, in ticks of the world."""
-    spans, since = [], None
-    for tick, pin, level in scene.inputs:
-        if pin == PIN_INTERLOCK and level and since is None:
-            since = kept.began + tick
-        elif pin == PIN_INTERLOCK and not level and since is not None:
-            spans.append((since, kept.began + tick))
-            since = None
-    return spans
-
-
-def interlock(kept: Kept, scene: Scene, slow: int) -> None:
-    """No pulse begins while it is open, and none outlasts its opening. `slow`: ticks a round takes, and stalls."""
-    for opened, shut in open_spans(kept, scene):
-        glimpsed = shut - opened <= SEEN
-        most = CUT + (slow if glimpsed else 0)
-        for pin in (PIN_MICROWAVE, PIN_TRIGGER):
-            pulses = kept.pulses.get(pin, [])
-            for rise, fall in pulses[max(0, bisect_right(pulses, (opened, 0)) - 1) :]:
-                if rise >= max(shut, opened + most):
-                    break
-                within = rise < min(shut, opened + most) or rise < opened
-                insist(rise <= opened + most or not rise < shut, f"GP{pin} rose with the interlock open", rise)
-                insist(not within or fall <= opened + most, f"GP{pin} high {fall - opened} ticks after it opened", rise)
-
-
 # ---- faults ----
 
 
@@ -94,13 +59,18 @@ def latching(told: list[Told]) -> list[tuple[Told, FaultCode]]:
     return [(i, i.event.fault) for i in told if isinstance(i.event, Fault) and i.event.fault in LATCHING]
 
 
-def first_fault_stays(kept: Kept, told: list[Told], scene: Scene) -> None:
-    """Until a `clear` is taken, nothing else latches and every status names it; taken only once its cause is gone."""
+def first_fault_stays(kept: Kept, told: list[Told]) -> None:
+    """Until a `clear` is taken, nothing else latches (inputs that disagree are told of) and every status names it."""
     clears = [asked for asked in kept.asked if isinstance(asked.command, Clear)]
-    faults = latching(told)
+    faults, behind = latching(told), list[int]()
     for (first, what), (second, other) in pairwise(faults):
         between = any(accepted(c) and c.answered >= first.tick and c.sent <= second.tick for c in clears)
-        insist(between or any(c.reply is None for c in clears), f"{other!r} latched over {what!r}", second.tick)
+        told_only = other == FaultCode.INTERLOCK_DISAGREES
+        sure = between or told_only or any(c.reply is None for c in clears)
+        insist(sure, f"{other!r} latched over {what!r}", second.tick)
+        if not between and told_only:
+            behind.append(second.index)
+    faults = [(item, what) for item, what in faults if item.index not in behind]
     ends = [*(item.tick for item, _ in faults), 1 << 62][1:]
     for (first, what), end in zip(faults, ends, strict=True):
         cleared = min((c.sent for c in clears if c.answered >= first.tick), default=1 << 62)
@@ -108,14 +78,6 @@ def first_fault_stays(kept: Kept, told: list[Told], scene: Scene) -> None:
             reply = asked.reply
             if isinstance(reply, StatusReply) and first.tick < asked.sent and asked.answered < min(cleared, end):
                 insist(reply.fault == what, f"status says {reply.fault!r}, latched was {what!r}", asked.sent)
-    spans = open_spans(kept, scene)
-    for clear in clears:
-        before = [what for item, what in faults if item.tick < clear.sent - MS]
-        taken = any(accepted(c) and before and c.answered > faults[len(before) - 1][0].tick and c.sent < clear.sent
-                    for c in clears)  # fmt: skip
-        lasts = any(opened < clear.sent and clear.answered < shut for opened, shut in spans)
-        if before and before[-1] == FaultCode.INTERLOCK and not taken and lasts and clear.reply:
-            insist(clear.reply.status == StatusCode.UNSAFE, "clear taken with the interlock open", clear.sent)
 
 
 # ---- the cameras' clock ----

@@ -63,6 +63,7 @@ class Scene:
     trigger: int = 0  # how long each of the camera's triggers lasts; their ends are the edges then
     erase: int = 0  # how long the flash takes for a sector
     resets: bool = False  # it ends with one
+    antivalent: bool = False  # the interlock has its second input
 
 
 def legal_config(rng: random.Random, generation: int, period: int) -> Stage:

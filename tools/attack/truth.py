@@ -21,7 +21,7 @@ from annulus.link.messages import (
     SyncLost,
 )
 from annulus.vocabulary import EdgeFlag
-from tools.attack import products_truth
+from tools.attack import interlock, products_truth
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
 from tools.attack.edges import Edges, asked_at
 from tools.attack.limits import Limits
@@ -80,7 +80,9 @@ class Truth:
                 lambda: trains(kept, told, self.board.now) if whole and self._knows_trains(kept) else None,
                 lambda: self._counters(kept, told, whole),
                 lambda: self._odometer(kept, told, scene, whole),
-                lambda: products_truth.first_fault_stays(kept, told, scene) if whole else None,
+                lambda: products_truth.first_fault_stays(kept, told) if whole else None,
+                lambda: interlock.says(kept, told, scene) if whole else None,
+                lambda: interlock.disagrees(kept, told, scene, self.board) if whole else None,
                 lambda: self._rereads(kept),
             ]
         else:
@@ -106,7 +108,7 @@ class Truth:
 
     def _interlock(self, kept: Kept, scene: Scene) -> None:
         slow = self.board.round_max + sum(end - begin for begin, end in kept.stalls)
-        products_truth.interlock(kept, scene, slow)
+        interlock.cuts(kept, scene, slow)
 
     def _odometer(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
         if products_truth.measured(kept):
