@@ -11,8 +11,8 @@ from annulus.controller import (
 )
 from annulus.link.messages import Clear, Fault, FaultCode, StateFlag, StatusCode, StatusReply
 from tools.attack.boards import MS, Board, insist
-from tools.attack.play import OPENS, Kept, Told
-from tools.attack.products_truth import accepted, latching
+from tools.attack.kept import OPENS, Kept, Told, accepted
+from tools.attack.products_truth import latching
 from tools.attack.scenes import Scene
 
 # Of each input: ticks that it must be open for hardware to see it, shorter and the core cuts within a round; ticks from

@@ -14,7 +14,8 @@ from annulus.controller import (
 )
 from annulus.link.messages import Burst, StatusCode
 from tools.attack.boards import insist
-from tools.attack.play import Kept, Player
+from tools.attack.kept import Kept
+from tools.attack.play import Player
 from tools.attack.trains import chips_of
 
 DUTY_SLACK = 200  # ticks: a board counts from the tick it reads, not from the pin

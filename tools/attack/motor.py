@@ -32,7 +32,8 @@ from annulus.link.messages import (
 )
 from tools.attack.boards import MS, insist
 from tools.attack.interlock import is_open
-from tools.attack.play import Asked, Kept, Player, Told
+from tools.attack.kept import Asked, Kept, Told
+from tools.attack.play import Player
 from tools.attack.scenes import Scene
 
 US = TICKS_PER_US

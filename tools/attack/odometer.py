@@ -4,7 +4,7 @@ from bisect import bisect_left, bisect_right
 
 from annulus.link.messages import Edge, Event, Fault, FaultCode
 from tools.attack.boards import MS, insist
-from tools.attack.play import Kept, Told
+from tools.attack.kept import Kept, Told
 from tools.attack.scenes import Scene
 
 HELD = 448  # transitions in one round that are followed, at the least
@@ -24,7 +24,7 @@ def odometer(kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
     """Off by no more than was counted, counted only when the main loop stood still, and said in time."""
     assert kept.first
     assert kept.last
-    lost = kept.missed - kept.missed_before
+    lost = kept.lost
     ticks = [kept.began + tick for tick, _ in scene.steps]
     held_up = [bisect_right(ticks, end + MS) - bisect_left(ticks, begin - MS) for begin, end in kept.stalls]
     insist(

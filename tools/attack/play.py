@@ -1,13 +1,11 @@
 """Plays scenes on a board as a host would, and keeps what was said and heard for tools.attack.truth to judge."""
 
 import itertools
-import random
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from annulus.controller import (
-    CAMERA_TRIGGER_MIN_TICKS,
     PIN_CAMERA_TRIGGER,
     PIN_DIRECTION,
     PIN_ENABLE,
@@ -21,8 +19,8 @@ from annulus.controller import (
     PIN_STEP,
     PIN_SYNC,
     PIN_TRIGGER,
+    PIN_VBUS,
     TURNTABLE_LAG_MS,
-    UPDATE_CHUNK_BYTES,
 )
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
@@ -56,14 +54,17 @@ from annulus.link.messages import (
     Status,
     StatusCode,
     StatusReply,
-    UpdateBegin,
-    UpdateData,
+    UpdateEnd,
 )
 from tools.attack.boards import MS, UART, USB, Board, BrokenPromiseError, Edge, Heard
+from tools.attack.kept import OPENS, Asked, Kept, Told, Trigger, accepted, edges_of
 from tools.attack.scenes import Scene
+from tools.attack.updates import Update, leaves, sent
 
 BYTE_TICKS = 1000
 PATIENCE = 30 * MS  # for an answer, a full line of events before it
+STAGES_WITHIN = 10_000 * MS  # a whole application, 45 ms for each of its sectors
+REPLUG_TAKES = 500 * MS
 STANDS_WITHIN = 410 * MS  # the turntable, along the slowest ramp of a scene, its driver's lead before it
 LAG = TURNTABLE_LAG_MS * MS + MS  # until its power is surely gone
 FLASH_TAKES = 1000 * MS  # for what an update has in hand: two sectors, at most
@@ -71,58 +72,6 @@ RESET_TAKES = 700 * MS  # with the loader's work, and what the flash has in hand
 MOTOR = (PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 
 
-Trigger = tuple[int, int]  # of cameras: period and width
-
-
-@dataclass(slots=True)
-class Asked:
-    """One command, when it was on its way, and what came back."""
-
-    command: Command
-    line: int
-    sequence: int
-    sent: int
-    through: int  # its last byte has arrived, if nothing holds it up
-    reply: Reply | None = None
-    answered: int = 1 << 62  # the look at which its answer was there
-    start: int = 0  # of a train
-
-
-@dataclass(slots=True)
-class Told:
-    """One event, at its tick of the world."""
-
-    index: int  # since boot
-    event: Event
-    tick: int
-
-
-@dataclass(slots=True)
-class Kept:
-    """Of one scene, in ticks of the world."""
-
-    began: int = 0
-    asked: list[Asked] = field(default_factory=list)
-    told: dict[int, Told] = field(default_factory=dict)
-    times_told: dict[int, list[int]] = field(default_factory=dict)  # index of an event: when it came
-    pulses: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    stalls: list[tuple[int, int]] = field(default_factory=list)
-    opened: list[int] = field(default_factory=list)
-    unplugged: list[int] = field(default_factory=list)
-    noise: list[int] = field(default_factory=list)
-    falls: list[int] = field(default_factory=list)
-    doubtful: set[int] = field(default_factory=set)  # of these, those that may count or not: the clock just changed
-    trigger: Trigger | None = (0, 0)  # of cameras, in force before; None where that is not known
-    restarts: list[tuple[int, int]] = field(default_factory=list)  # from when to when the edges' clock may have changed
-    boots: int = 0  # the controller began anew
-    first: StatusReply | None = None
-    last: StatusReply | None = None
-    missed_before: int = 0  # transitions of the odometer, since boot
-    missed: int = 0
-    before: list[Told] = field(default_factory=list)  # told by the boots that ended in the scene
-
-
-OPENS = {PIN_INTERLOCK: 1, PIN_INTERLOCK_ANTIVALENT: 0}  # level at which an input of the interlock says open
 AS_DRAWN = PolarityFlag(0)
 INVERTIBLE = {
     PIN_SYNC: PolarityFlag.SYNC,
@@ -142,7 +91,7 @@ class Player:
         self.inverted = inverted
         self._turned = {pin for pin, flag in INVERTIBLE.items() if flag & inverted}
         self._origin = board.origin
-        self._staging: Iterator[UpdateData] | None = None  # chunks of an update under way
+        self._staging: Iterator[Command] | None = None  # of an update under way
         self._due: Asked | None = None  # the one of them that is on its way
         self.done: deque[str] = deque(maxlen=30)
         self.kept = Kept()
@@ -150,6 +99,8 @@ class Player:
         self.high_since_boot = 0
         self.motor: list[Edge] = []  # transitions of the turntable's pins, until somebody takes them
         self._trigger: Trigger | None = (0, 0)
+        self._plugged = False
+        self._deaf = False  # plugged in again, a host hears nothing until it says at which level it speaks
         self._sequence = [itertools.count(), itertools.count()]
         self._decoders = (Decoder(), Decoder())
         self._line_free = [0, 0]
@@ -217,10 +168,13 @@ class Player:
                 elif isinstance(item.message, Reply):
                     self._reply(line, item.message, item.sequence)
         if self._staging and (self._due is None or self._due.reply):
-            if self._due and self._due.reply and self._due.reply.status != StatusCode.OK:
+            early = self._due and isinstance(self._due.command, UpdateEnd)
+            if self._due and not accepted(self._due) and not early:
                 self._staging = None  # given up, or ended by a reset
-            elif chunk := next(self._staging, None):
-                self._due = self.send(self.line, chunk)
+            elif following := next(self._staging, None):
+                self._due = self.send(self.line, following)
+            else:
+                self._staging = None
 
     def world(self, tick: int) -> int:
         """Of a tick the controller counted in the last 40 s, or will in the next 3."""
@@ -243,6 +197,8 @@ class Player:
         self.next_index = max(self.next_index, index + 1)
         if isinstance(event, Booted):
             self.high_since_boot = self.board.now
+        if self._deaf:
+            return
         if index not in self.kept.told:
             self.kept.told[index] = Told(index, event, self.world(event.tick))  # type: ignore[attr-defined]
         self.kept.times_told.setdefault(index, []).append(self.board.now)
@@ -291,23 +247,28 @@ class Player:
             self.note(f"main loop stands still for {value} ticks")
             self.kept.stalls.append((self.board.now, self.board.now + value))
             self.board.stall(value)
-        elif what == "update" and isinstance(value, int):
-            data = random.Random(value).randbytes(value * UPDATE_CHUNK_BYTES)
-            name = b"native\0\0" if self.board.name == "native" else b"rp2040\0\0"
-            self._due = self.send(line, UpdateBegin(len(data), self.board.now & 0xFFFFFFFF, name))
-            self._staging = iter(
-                [UpdateData(at, data[at : at + UPDATE_CHUNK_BYTES]) for at in range(0, len(data), UPDATE_CHUNK_BYTES)]
-            )
+        elif what == "update" and isinstance(value, Update):
+            self._staging, self._due = sent(value, self.board.name), None
         elif what == "noise" and isinstance(value, bytes):
             self.note(f"line {line}: noise {value.hex()}")
             self.kept.noise.append(line)
             if line == UART:
                 self.board.write(line, value)
-        elif what == "plug":
+        elif what == "plug" and bool(value) != self._plugged:
             self.note(f"USB {'plugged' if value else 'unplugged'}")
             if not value:
                 self.kept.unplugged.append(self.board.now)
-            self.board.plug(bool(value))
+            self._deaf |= bool(value) and self.line == USB
+            self._plug(bool(value))
+        elif what == "vbus" and isinstance(value, int):
+            self.note(f"VBUS gone for {value} ticks")
+            self.kept.unplugged.append(self.board.now)
+            self._deaf |= self.line == USB
+            self.board.input([(self.board.now, PIN_VBUS, 0), (self.board.now + value, PIN_VBUS, 1)])
+
+    def _plug(self, plugged: bool) -> None:
+        self._plugged = plugged
+        self.board.plug(plugged)
 
     def _prepare(self, scene: Scene) -> None:
         board = self.board
@@ -316,14 +277,14 @@ class Player:
         self.input([(board.now, PIN_SYNC, 1), (board.now, PIN_INTERLOCK_ANTIVALENT, 1)])
         if scene.erase:
             board.erase_takes(scene.erase)
-        self.line = scene.line
+        self.line, self._deaf = scene.line, False
         if scene.line == USB and not board.connected():
-            board.plug(True)
+            self._plug(True)
             end = board.now + 500 * MS
             while not board.connected() and board.now < end:
                 self.run(board.now + 5 * MS)
         elif scene.line == UART and board.connected():
-            board.plug(False)
+            self._plug(False)
         self.run(board.now + 5 * MS)
         self.kept = Kept(began=board.now, trigger=self._trigger)
         self._must(Arm(outputs=ArmFlag(0)))
@@ -347,7 +308,7 @@ class Player:
             self._must(scene.preamble)
         self.kept.told.clear()
         self.kept.first = self._status()
-        self.kept.missed_before = self._missed()
+        self.kept.health_before = self._health()
         if scene.outputs:
             self._must(Arm(outputs=scene.outputs))
 
@@ -370,19 +331,21 @@ class Player:
         assert isinstance(reply, StatusReply)
         return reply
 
-    def _missed(self) -> int:
-        """Transitions the controller counted as lost or impossible; none, if it cannot tell."""
+    def _health(self) -> HealthReply | None:
         reply = self.request(Health())
-        return reply.odometer_lost + reply.odometer_impossible if isinstance(reply, HealthReply) else 0
+        return reply if isinstance(reply, HealthReply) else None
 
     def _finish(self, scene: Scene) -> None:
         """Dark, quiet, and every event that can be had."""
+        end = self.board.now + STAGES_WITHIN
+        while self._staging and self.board.now < end:
+            self.run(self.board.now + MS)
         self._staging = None  # after what is on its way, once the flash has time for it
         end = self.board.now + FLASH_TAKES
         while self._due and self._due.reply is None and self.board.now < end and not self.kept.boots:
             self.run(self.board.now + 5 * MS)
         self._due = None
-        if any(isinstance(asked.command, Reset) for asked in self.kept.asked):
+        if any(isinstance(asked.command, Reset) or leaves(asked) for asked in self.kept.asked):
             end = self.board.now + RESET_TAKES
             while not self.kept.boots and self.board.now < end:
                 self.run(self.board.now + MS // 5)
@@ -390,6 +353,14 @@ class Player:
                 self.line = UART
                 self.kept.last = self._status()
                 return
+        if self._deaf:
+            end = self.board.now + REPLUG_TAKES
+            while not self.board.connected() and self.board.now < end:
+                self.run(self.board.now + 5 * MS)
+            self.run(self.board.now + MS)
+            if self.board.connected():
+                self._identify(scene.level)
+            self._deaf = False
         if scene.line == USB and not self.board.connected():
             self.line = UART
             self.run(self.board.now + 5 * MS)
@@ -407,8 +378,8 @@ class Player:
                 raise BrokenPromiseError("the turntable still moves, though everything was disarmed")
             self.run(self.board.now + 5 * MS)
         self.run(self.board.now + 6 * MS + (LAG if self.motor else 0))
-        self.kept.missed = self._missed()
-        if self.kept.missed != self.kept.missed_before:
+        self.kept.health = self._health()
+        if self.kept.lost:
             self.run(self.board.now + 101 * MS)  # it is said at most once in 100 ms
         self.kept.last = self._status()
         first = self.kept.first.events if self.kept.first and not self.kept.boots else 0
@@ -432,45 +403,3 @@ def dimmed(config: Stage) -> Stage:
         projector_width=min(most, config.projector_width),
         led_width=min(most, config.led_width),
     )
-
-
-def edges_of(kept: Kept) -> Trigger | None:
-    """Finds the falls that are the controller's edges: of the sync input, or of the cameras' triggers while it makes
-    them. What of these is in force in the end.
-    """
-    since = next(asked.sent for asked in kept.asked if asked.reply is kept.first)
-    clocks = {False: kept.falls, True: [fall for _, fall in kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]}
-    kept.falls, begin, makes = [], 0, bool(kept.trigger and kept.trigger[1])
-    changes, force = triggers(kept, kept.trigger)
-    for sent, done, (_, width) in changes:
-        kept.restarts.append((sent, done))
-        kept.falls += [fall for fall in clocks[makes] if begin <= fall < sent]
-        makes, begin = width > 0, done + 1
-        either = sorted(fall for falls in clocks.values() for fall in falls if sent <= fall <= done)
-        kept.falls += either
-        kept.doubtful.update(either, [fall for fall in clocks[makes] if fall > done][:1])  # which ends no hold-off
-    kept.falls += [fall for fall in clocks[makes] if begin <= fall]
-    unsure = kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit))
-    return None if unsure else force
-
-
-def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, Trigger]], Trigger]:
-    """When what is in force of them may have changed, and to what; and what is in force in the end. `before`: in force
-    at first, where that is known.
-    """
-    force = staged = before or (0, 0)
-    changes: list[tuple[int, int, Trigger]] = []
-    for asked in kept.asked:
-        command = asked.command
-        if asked.reply is None or asked.reply.status != StatusCode.OK:
-            continue
-        if isinstance(command, Stage):
-            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
-            staged = (command.frame_period, force[1] if room else 0)
-        elif isinstance(command, CameraTrigger):
-            staged = (staged[0], command.width)
-        elif isinstance(command, Commit):
-            if (before is None and not changes) or (staged != force and (staged[1] or force[1])):
-                changes.append((asked.sent, asked.answered, staged))
-            force = staged
-    return changes, force

@@ -43,15 +43,17 @@ from annulus.link.messages import (
 )
 from tools.attack import themes
 from tools.attack.boards import MS, UART, US, USB, Edge
-from tools.attack.play import OPENS
+from tools.attack.kept import OPENS
 from tools.attack.scenes import LAMPS, MICROWAVE, Scene, legal_config, odometer_steps, sync_falls, waveform
+from tools.attack.updates import LEAST_CHUNKS, Update
 
 SCENES_A_BOARD = 20
 INTERLOCK = (PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT)
 CONTACTS = (*INTERLOCK, PIN_END_LOW, PIN_END_HIGH)
 BOTH = LAMPS | MICROWAVE
 ENDS = ("interlock", "bounce", "glimpse", "disarm", "lamps only", "stop train", "stop move", "switch", "stall",
-        "commit", "preamble", "measure", "unplug", "late clear")  # fmt: skip
+        "commit", "preamble", "measure", "unplug", "replug", "rewire", "late clear")  # fmt: skip
+KINDS = ("broken off", "early", "damaged", "foreign", "whole")  # of updates
 NEAR = (0, 1, 50, 10 * US, 100 * US, 500 * US, 2 * MS)  # between two that meet
 
 
@@ -87,10 +89,10 @@ def draw(seed: int, number: int, board: str) -> Scene:
     scene.turntable = themes.turntable(rng)
     keep_awake(scene)
     if updates:
-        update(rng, scene)
+        update(rng, scene, native)
     else:
         for _ in range(rng.choice((1, 1, 2, 3))):
-            meeting(rng, scene, rng.choice((rng.randrange(end), rng.choice(falls))))
+            meeting(rng, scene, rng.choice((rng.randrange(end), rng.choice(falls))), native)
     if resets:
         scene.resets = True
         scene.actions.append((end - 1, "send", line, Reset(magic=RESET_MAGIC)))
@@ -129,7 +131,7 @@ def burst_across(rng: random.Random, chips: str) -> Burst:
     return Burst(code, chip, max(1, min(2000, rng.randrange(10 * MS, 50 * MS) // period)), period, offset)
 
 
-def meeting(rng: random.Random, scene: Scene, moment: int) -> None:
+def meeting(rng: random.Random, scene: Scene, moment: int, native: bool) -> None:
     """All that can run runs, and several things end it at one moment; then it is begun anew."""
     line, actions = scene.line, scene.actions
 
@@ -148,7 +150,7 @@ def meeting(rng: random.Random, scene: Scene, moment: int) -> None:
     if rng.random() < 0.5:
         send(near(), Preamble(rng.choice((1, 5, PREAMBLE_MAX)), rng.choice((0, 1)), 1))
     for what in rng.sample(ENDS, rng.randrange(1, 5)):
-        end_by(rng, scene, what, near(), send)
+        end_by(rng, scene, what, near(), native, send)
     after = moment + rng.choice((200 * US, 3 * MS, 20 * MS))
     send(after, Status(), Clear(), Arm(scene.outputs), burst_across(rng, scene.chips), Move(-far, period, 0))
 
@@ -172,7 +174,7 @@ def opening(rng: random.Random, scene: Scene, at: int, shut: int, one_only: int 
             scene.inputs += [(begin, pin, OPENS[pin]), (end, pin, 1 - OPENS[pin])]
 
 
-def end_by(rng: random.Random, scene: Scene, what: str, at: int, send) -> None:  # type: ignore[no-untyped-def]
+def end_by(rng: random.Random, scene: Scene, what: str, at: int, native: bool, send) -> None:  # type: ignore[no-untyped-def]
     inputs, generation = scene.inputs, scene.config.generation % 255 + 1
     opens = all(pin not in INTERLOCK for _, pin, _ in inputs)  # two bounces would interleave
     match what:
@@ -215,6 +217,18 @@ def end_by(rng: random.Random, scene: Scene, what: str, at: int, send) -> None: 
             send(at, *measurement(rng))
         case "unplug" if scene.line == USB:
             scene.actions.append((at, "plug", USB, False))
+        case "replug" if scene.line == USB:
+            gone = 180 * MS if native else rng.choice((US, 10 * US, MS, 30 * MS))  # before it is a device again
+            if rng.random() < 0.5 and not native:
+                scene.actions.append((at, "vbus", USB, gone))
+            else:
+                scene.actions += [(at, "plug", USB, False), (at + gone, "plug", USB, True)]
+        case "rewire":
+            generation = generation % 255 + 1
+            period = rng.choice((scene.config.frame_period, rng.randrange(2 * MS, 6 * MS)))
+            lasts = camera_trigger(rng) if not scene.trigger or rng.random() < 0.3 else 0
+            staged = [legal_config(rng, generation, period), CameraTrigger(generation, lasts, 0), Commit(generation)]
+            send(at, Arm(ArmFlag(0)), *staged, Wiring(), Arm(scene.outputs))
         case "late clear":
             send(at, Clear(), Status())
 
@@ -224,11 +238,15 @@ def measurement(rng: random.Random) -> list[Command]:
     return [look, Samples(rng.randrange(2), 0)]
 
 
-def update(rng: random.Random, scene: Scene) -> None:
+def update(rng: random.Random, scene: Scene, native: bool) -> None:
     """The flash erases and writes while edges come and orders are refused; nothing is armed."""
     line, actions, end = scene.line, scene.actions, scene.end
     scene.erase = rng.choice((20, 45, 45, 120, 400)) * MS
-    actions.append((rng.randrange(end // 3), "update", line, rng.choice((3, 130, 300))))
+    kind = rng.choice(KINDS if native or rng.random() < 0.2 else KINDS[:-1])  # the image's own takes 3 s
+    if kind == "whole":
+        scene.erase = rng.choice((20, 45)) * MS
+    new = Update(kind, rng.choice((LEAST_CHUNKS, 130, 300)), rng.getrandbits(32))
+    actions.append((rng.randrange(end // 3), "update", line, new))
     for _ in range(rng.randrange(8)):
         orders: list[Command] = [Arm(BOTH), Move(100, 20_000, 0), Status(), Image(), *measurement(rng), Clear()]
         actions.append((rng.randrange(end), "send", line, rng.choice(orders)))

@@ -7,11 +7,8 @@ from itertools import pairwise
 
 from annulus.controller import (
     PIN_CAMERA_TRIGGER,
-    UPDATE_CHUNK_BYTES,
-    UPDATE_SILENCE_MS,
 )
 from annulus.link.messages import (
-    Arm,
     Booted,
     Clear,
     Commit,
@@ -21,16 +18,11 @@ from annulus.link.messages import (
     FaultCode,
     Identify,
     Measure,
-    Move,
-    StatusCode,
     StatusReply,
-    UpdateBegin,
-    UpdateData,
-    UpdateDataReply,
 )
 from annulus.vocabulary import EdgeFlag
 from tools.attack.boards import MS, insist
-from tools.attack.play import Asked, Kept, Told, triggers
+from tools.attack.kept import Asked, Kept, Told, accepted, triggers
 from tools.attack.scenes import Scene
 
 LATCHING = {
@@ -41,11 +33,6 @@ LATCHING = {
     FaultCode.INTERLOCK_DISAGREES,
 }
 SETTLED = 40  # ticks by which an edge and a transition of the odometer may change places
-UPDATE_SILENCE = UPDATE_SILENCE_MS * MS
-
-
-def accepted(asked: Asked) -> bool:
-    return asked.reply is not None and asked.reply.status == StatusCode.OK
 
 
 def is_latching(event: Event) -> bool:
@@ -102,26 +89,6 @@ def camera_trigger(kept: Kept) -> None:
         for (first, _), (second, _) in pairwise(mine):
             insist(second - first == period, f"a trigger after {second - first} ticks, due {period}", second)
         at, (period, width) = bisect_right(pulses, (answered, 0)), (new_period, new_width)
-
-
-# ---- an update ----
-
-
-def update(kept: Kept) -> None:
-    """While one is surely under way nothing is armed or moved; every chunk is taken, and in its place."""
-    begun: Asked | None = None
-    for asked in () if kept.boots else kept.asked:
-        if isinstance(asked.command, UpdateBegin) and accepted(asked):
-            begun = asked
-        elif isinstance(asked.command, Identify):
-            begun = None
-        elif isinstance(asked.reply, UpdateDataReply) and isinstance(asked.command, UpdateData) and begun:
-            insist(accepted(asked), f"a chunk in its turn refused: {asked.reply}", asked.sent)
-            after = asked.command.offset + UPDATE_CHUNK_BYTES
-            insist(asked.reply.next == after, f"chunk {asked.command.offset} taken, next is {asked.reply}", asked.sent)
-        elif begun and asked.sent > begun.answered and asked.answered < begun.answered + UPDATE_SILENCE:
-            live = isinstance(asked.command, Move) or (isinstance(asked.command, Arm) and bool(asked.command.outputs))
-            insist(not live or not accepted(asked), f"{asked.command} taken while an update was under way", asked.sent)
 
 
 # ---- a measurement ----

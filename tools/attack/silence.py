@@ -3,7 +3,7 @@
 from annulus.controller import PIN_CAMERA_TRIGGER
 from annulus.link.messages import Arm, Clear, Fault, FaultCode, Stage, StatusCode
 from tools.attack.boards import MS, USB, Board, insist
-from tools.attack.play import Kept, Told
+from tools.attack.kept import Kept, Told
 
 DEFAULT_MS = 500
 USB_FRAME = MS
@@ -76,3 +76,15 @@ def _stays(kept: Kept, told: list[Told]) -> None:
     faults = [i for i in told if isinstance(i.event, Fault) and i.event.fault == FaultCode.HOST_TIMEOUT]
     if faults and not any(isinstance(a.command, Clear) and a.answered >= faults[-1].tick for a in kept.asked):
         insist(kept.last.fault == FaultCode.HOST_TIMEOUT, f"host_timeout told, state says {kept.last.fault!r}")
+
+
+def unplugged(kept: Kept, line: int, board: Board) -> None:
+    """Without its plug, or its 5 V, the line of the host that commands is lost at once: gates dark, until one arms."""
+    late = 2 * board.round_max + sum(end - begin for begin, end in kept.stalls)
+    for pulled in kept.unplugged if line == USB else ():
+        dark = pulled + late
+        arms = [a.sent for a in kept.asked if isinstance(a.command, Arm) and a.command.outputs and a.sent > pulled]
+        for pin, pulses in kept.pulses.items():
+            for rise, fall in pulses if pin != PIN_CAMERA_TRIGGER else ():
+                if pulled <= fall and rise < min([1 << 62, *arms]):
+                    insist(fall <= dark, f"GP{pin} lit {(fall - pulled) / MS:.2f} ms after the plug was pulled", rise)

@@ -9,7 +9,7 @@ import numpy as np
 from annulus.link.messages import Arm, Commit, Edge, Identify, Preamble, Stage, StatusCode
 from annulus.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import insist
-from tools.attack.play import Asked, Kept
+from tools.attack.kept import Asked, Kept
 
 OFF = Preamble(0, 0, 0)
 LAMPS = np.array([Lamp.PROJECTOR, Lamp.LED, Lamp.DARK, Lamp.PROJECTOR])  # of two bits of the sequence

@@ -46,8 +46,9 @@ from annulus.link.messages import (
 )
 from annulus.vocabulary import EdgeFlag
 from tools.attack.boards import BOOTED, MS, ROOT, USB, BrokenPromiseError, Emulated
+from tools.attack.kept import Kept
 from tools.attack.odometer import is_odometer
-from tools.attack.play import Kept, Player
+from tools.attack.play import Player
 from tools.attack.scenes import QUADRATURE
 
 US = MS // 1000

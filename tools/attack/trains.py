@@ -17,7 +17,7 @@ from annulus.link.messages import (
     StatusCode,
 )
 from tools.attack.boards import insist
-from tools.attack.play import Asked, Kept, Told
+from tools.attack.kept import Asked, Kept, Told
 
 Pulse = tuple[int, int]
 

@@ -21,15 +21,16 @@ from annulus.link.messages import (
     SyncLost,
 )
 from annulus.vocabulary import EdgeFlag
-from tools.attack import interlock, products_truth
+from tools.attack import interlock, products_truth, updates
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
 from tools.attack.edges import Edges, asked_at
+from tools.attack.kept import Asked, Kept, Told, accepted
 from tools.attack.limits import Limits
 from tools.attack.motor import Motor
 from tools.attack.odometer import odometer
-from tools.attack.play import Asked, Kept, Player, Told
+from tools.attack.play import Player
 from tools.attack.scenes import Scene
-from tools.attack.silence import silence
+from tools.attack.silence import silence, unplugged
 from tools.attack.trains import trains
 
 US = MS // 1000
@@ -57,7 +58,8 @@ class Truth:
             lambda: self._interlock(kept, scene),
             lambda: self._boots(kept, scene),
             lambda: products_truth.camera_trigger(kept),
-            lambda: products_truth.update(kept),
+            lambda: updates.judge(kept, self.board.name),
+            lambda: unplugged(kept, scene.line, self.board),
             lambda: self._answers(kept),
             self._round,
         ]
@@ -113,8 +115,7 @@ class Truth:
     def _odometer(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
         if products_truth.measured(kept):
             assert kept.first
-            lost = kept.missed - kept.missed_before
-            products_truth.frozen_odometer(kept, told, scene, kept.first.odometer, lost)
+            products_truth.frozen_odometer(kept, told, scene, kept.first.odometer, kept.lost)
         else:
             later = [item for item in told if isinstance(item.event, Edge)][1:]  # the first may be one after a scene's
             frozen = any(products_truth.is_frozen(item.event) for item in later)
@@ -125,10 +126,10 @@ class Truth:
 
     def _boots(self, kept: Kept, scene: Scene) -> None:
         stalled = any(end - begin > WATCHDOG - 5 * MS for begin, end in kept.stalls)
-        resets = [a for a in kept.asked if isinstance(a.command, Reset)]
-        insist(kept.boots <= 1 or stalled, f"the controller began anew {kept.boots} times")
+        resets = [a for a in kept.asked if isinstance(a.command, Reset) or updates.leaves(a)]
+        insist(kept.boots <= max(1, len(resets)) or stalled, f"the controller began anew {kept.boots} times")
         if resets:
-            insist(kept.boots > 0 or not products_truth.accepted(resets[0]), "told to reset, and did not")
+            insist(kept.boots > 0 or not accepted(resets[0]), "told to reset, and did not")
             return
         insist(kept.boots == 0 or stalled, "the controller began anew, and nobody held its main loop for 100 ms")
 

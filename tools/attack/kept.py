@@ -1,0 +1,138 @@
+"""What was said and heard in one scene, and which falling edges were the controller's."""
+
+from dataclasses import dataclass, field
+
+from annulus.controller import (
+    CAMERA_TRIGGER_MIN_TICKS,
+    PIN_CAMERA_TRIGGER,
+    PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
+)
+from annulus.link.messages import (
+    CameraTrigger,
+    Command,
+    Commit,
+    Event,
+    HealthReply,
+    Reply,
+    Stage,
+    StatusCode,
+    StatusReply,
+)
+
+OPENS = {PIN_INTERLOCK: 1, PIN_INTERLOCK_ANTIVALENT: 0}  # level at which an input of the interlock says open
+
+Trigger = tuple[int, int]  # of cameras: period and width
+
+
+@dataclass(slots=True)
+class Asked:
+    """One command, when it was on its way, and what came back."""
+
+    command: Command
+    line: int
+    sequence: int
+    sent: int
+    through: int  # its last byte has arrived, if nothing holds it up
+    reply: Reply | None = None
+    answered: int = 1 << 62  # the look at which its answer was there
+    start: int = 0  # of a train
+
+
+@dataclass(slots=True)
+class Told:
+    """One event, at its tick of the world."""
+
+    index: int  # since boot
+    event: Event
+    tick: int
+
+
+@dataclass(slots=True)
+class Kept:
+    """Of one scene, in ticks of the world."""
+
+    began: int = 0
+    asked: list[Asked] = field(default_factory=list)
+    told: dict[int, Told] = field(default_factory=dict)
+    times_told: dict[int, list[int]] = field(default_factory=dict)  # index of an event: when it came
+    pulses: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    stalls: list[tuple[int, int]] = field(default_factory=list)
+    opened: list[int] = field(default_factory=list)
+    unplugged: list[int] = field(default_factory=list)
+    noise: list[int] = field(default_factory=list)
+    falls: list[int] = field(default_factory=list)
+    doubtful: set[int] = field(default_factory=set)  # of these, those that may count or not: the clock just changed
+    trigger: Trigger | None = (0, 0)  # of cameras, in force before; None where that is not known
+    restarts: list[tuple[int, int]] = field(default_factory=list)  # from when to when the edges' clock may have changed
+    boots: int = 0  # the controller began anew
+    first: StatusReply | None = None
+    last: StatusReply | None = None
+    health_before: HealthReply | None = None  # where the controller can tell
+    health: HealthReply | None = None
+    before: list[Told] = field(default_factory=list)  # told by the boots that ended in the scene
+
+    @property
+    def missed(self) -> int:
+        """Transitions the controller counted as lost or impossible, since boot."""
+        return missed(self.health)
+
+    @property
+    def lost(self) -> int:
+        """And in this scene."""
+        return missed(self.health) - missed(self.health_before)
+
+    @property
+    def dropped(self) -> int:
+        """Edges that it had no room for."""
+        return self.health.edges_dropped - self.health_before.edges_dropped if self.health and self.health_before else 0
+
+
+def missed(health: HealthReply | None) -> int:
+    return health.odometer_lost + health.odometer_impossible if health else 0
+
+
+def accepted(asked: Asked) -> bool:
+    return asked.reply is not None and asked.reply.status == StatusCode.OK
+
+
+def edges_of(kept: Kept) -> Trigger | None:
+    """Finds the falls that are the controller's edges: of the sync input, or of the cameras' triggers while it makes
+    them. What of these is in force in the end.
+    """
+    since = next(asked.sent for asked in kept.asked if asked.reply is kept.first)
+    clocks = {False: kept.falls, True: [fall for _, fall in kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]}
+    kept.falls, begin, makes = [], 0, bool(kept.trigger and kept.trigger[1])
+    changes, force = triggers(kept, kept.trigger)
+    for sent, done, (_, width) in changes:
+        kept.restarts.append((sent, done))
+        kept.falls += [fall for fall in clocks[makes] if begin <= fall < sent]
+        makes, begin = width > 0, done + 1
+        either = sorted(fall for falls in clocks.values() for fall in falls if sent <= fall <= done)
+        kept.falls += either
+        kept.doubtful.update(either, [fall for fall in clocks[makes] if fall > done][:1])  # which ends no hold-off
+    kept.falls += [fall for fall in clocks[makes] if begin <= fall]
+    unsure = kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit))
+    return None if unsure else force
+
+
+def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, Trigger]], Trigger]:
+    """When what is in force of them may have changed, and to what; and what is in force in the end. `before`: in force
+    at first, where that is known.
+    """
+    force = staged = before or (0, 0)
+    changes: list[tuple[int, int, Trigger]] = []
+    for asked in kept.asked:
+        command = asked.command
+        if not accepted(asked):
+            continue
+        if isinstance(command, Stage):
+            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
+            staged = (command.frame_period, force[1] if room else 0)
+        elif isinstance(command, CameraTrigger):
+            staged = (staged[0], command.width)
+        elif isinstance(command, Commit):
+            if (before is None and not changes) or (staged != force and (staged[1] or force[1])):
+                changes.append((asked.sent, asked.answered, staged))
+            force = staged
+    return changes, force
