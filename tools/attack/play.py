@@ -345,9 +345,11 @@ class Player:
         while self._due and self._due.reply is None and self.board.now < end and not self.kept.boots:
             self.run(self.board.now + 5 * MS)
         self._due = None
-        if any(isinstance(asked.command, Reset) or leaves(asked) for asked in self.kept.asked):
+        resets = [asked for asked in self.kept.asked if isinstance(asked.command, Reset) or leaves(asked)]
+        if resets:
             end = self.board.now + RESET_TAKES
-            while not self.kept.boots and self.board.now < end:
+            due = max(1, sum(asked.reply is None or accepted(asked) for asked in resets))
+            while self.kept.boots < due and self.board.now < end:
                 self.run(self.board.now + MS // 5)
             if self.kept.boots:  # what comes next finds the board as the reset left it
                 self.line = UART
