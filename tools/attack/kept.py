@@ -22,7 +22,7 @@ from annulus.link.messages import (
 
 OPENS = {PIN_INTERLOCK: 1, PIN_INTERLOCK_ANTIVALENT: 0}  # level at which an input of the interlock says open
 
-Trigger = tuple[int, int]  # of cameras: period and width
+Trigger = tuple[int, int, int]  # of cameras: period, width, and delay after an edge of the sync input
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ class Kept:
     noise: list[int] = field(default_factory=list)
     falls: list[int] = field(default_factory=list)
     doubtful: set[int] = field(default_factory=set)  # of these, those that may count or not: the clock just changed
-    trigger: Trigger | None = (0, 0)  # of cameras, in force before; None where that is not known
+    trigger: Trigger | None = (0, 0, 0)  # of cameras, in force before; None where that is not known
     restarts: list[tuple[int, int]] = field(default_factory=list)  # from when to when the edges' clock may have changed
     boots: int = 0  # the controller began anew
     first: StatusReply | None = None
@@ -102,12 +102,12 @@ def edges_of(kept: Kept) -> Trigger | None:
     """
     since = next(asked.sent for asked in kept.asked if asked.reply is kept.first)
     clocks = {False: kept.falls, True: [fall for _, fall in kept.pulses.get(PIN_CAMERA_TRIGGER, ()) if fall > since]}
-    kept.falls, begin, makes = [], 0, bool(kept.trigger and kept.trigger[1])
+    kept.falls, begin, makes = [], 0, kept.trigger is not None and leads(kept.trigger)
     changes, force = triggers(kept, kept.trigger)
-    for sent, done, (_, width) in changes:
+    for sent, done, trigger in changes:
         kept.restarts.append((sent, done))
         kept.falls += [fall for fall in clocks[makes] if begin <= fall < sent]
-        makes, begin = width > 0, done + 1
+        makes, begin = leads(trigger), done + 1
         either = sorted(fall for falls in clocks.values() for fall in falls if sent <= fall <= done)
         kept.falls += either
         kept.doubtful.update(either, [fall for fall in clocks[makes] if fall > done][:1])  # which ends no hold-off
@@ -116,23 +116,31 @@ def edges_of(kept: Kept) -> Trigger | None:
     return None if unsure else force
 
 
+def leads(trigger: Trigger) -> bool:
+    """Are their ends the edges?"""
+    return trigger[1] > 0 and trigger[2] == 0
+
+
 def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, Trigger]], Trigger]:
     """When what is in force of them may have changed, and to what; and what is in force in the end. `before`: in force
     at first, where that is known.
     """
-    force = staged = before or (0, 0)
+    force = staged = before or (0, 0, 0)
     changes: list[tuple[int, int, Trigger]] = []
     for asked in kept.asked:
         command = asked.command
         if not accepted(asked):
             continue
         if isinstance(command, Stage):
-            room = force[1] + CAMERA_TRIGGER_MIN_TICKS <= command.frame_period
-            staged = (command.frame_period, force[1] if room else 0)
+            _, width, delay = force
+            holdoff = command.frame_period - command.frame_period * command.tolerance // 1000
+            room = delay + width + CAMERA_TRIGGER_MIN_TICKS <= (holdoff if delay else command.frame_period)
+            staged = (command.frame_period, width, delay) if room else (command.frame_period, 0, 0)
         elif isinstance(command, CameraTrigger):
-            staged = (staged[0], command.width)
+            staged = (staged[0], command.width, command.delay)
         elif isinstance(command, Commit):
-            if (before is None and not changes) or (staged != force and (staged[1] or force[1])):
+            same_pace = staged[1:] == force[1:] and (staged[0] == force[0] or not leads(staged))
+            if (before is None and not changes) or not same_pace:
                 changes.append((asked.sent, asked.answered, staged))
             force = staged
     return changes, force

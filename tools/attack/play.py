@@ -98,7 +98,7 @@ class Player:
         self.high: dict[int, int] = {}  # pins that are high, since when
         self.high_since_boot = 0
         self.motor: list[Edge] = []  # transitions of the turntable's pins, until somebody takes them
-        self._trigger: Trigger | None = (0, 0)
+        self._trigger: Trigger | None = (0, 0, 0)
         self._plugged = False
         self._deaf = False  # plugged in again, a host hears nothing until it says at which level it speaks
         self._sequence = [itertools.count(), itertools.count()]
@@ -298,7 +298,7 @@ class Player:
         chips = sum(1 << i for i, chip in enumerate(scene.chips) if chip == "1")
         if scene.level == LEVEL and self.level == LEVEL:
             self._must(Polarity(config.generation, self.inverted))
-            self._must(CameraTrigger(config.generation, scene.trigger, 0))
+            self._must(CameraTrigger(config.generation, *scene.trigger))
             self._must(Interlock(InterlockFlag.ANTIVALENT if scene.antivalent else InterlockFlag(0)))
         self._must(Commit(generation=config.generation))
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))

@@ -37,6 +37,7 @@ from annulus.link.messages import (
     Preamble,
     Reset,
     Samples,
+    Stage,
     Status,
     TurntableStop,
     Wiring,
@@ -83,7 +84,7 @@ def draw(seed: int, number: int, board: str) -> Scene:
     steps = odometer_steps(rng, min(end, 400 * MS), 700)
     chips = "".join(rng.choice(("1", "10", "100")) for _ in range(rng.randrange(1, 40)))
     scene = Scene(line, config, outputs, falls, waveform(rng, falls, steps), [], end, chips, steps, level=LEVEL)
-    scene.trigger = camera_trigger(rng)
+    scene.trigger = camera_trigger(rng, config)
     scene.antivalent = rng.random() < 0.5
     scene.preamble = Preamble(rng.choice((0, 3, PREAMBLE_MAX)), rng.choice((0, 1, 3)), 0)
     scene.turntable = themes.turntable(rng)
@@ -108,10 +109,16 @@ def draw(seed: int, number: int, board: str) -> Scene:
     return scene
 
 
-def camera_trigger(rng: random.Random) -> int:
-    """How long each lasts; room for it in the shortest period."""
-    most = FRAME_PERIOD_MIN_TICKS - CAMERA_TRIGGER_MIN_TICKS
-    return rng.choice((0, 0, CAMERA_TRIGGER_MIN_TICKS, most, rng.randrange(CAMERA_TRIGGER_MIN_TICKS, most)))
+def camera_trigger(rng: random.Random, config: Stage) -> tuple[int, int]:
+    """Width and delay: none, of the controller's own clock, or begun by the sync input; room for it."""
+    least = CAMERA_TRIGGER_MIN_TICKS
+    most = FRAME_PERIOD_MIN_TICKS - least
+    width = rng.choice((0, 0, least, most, rng.randrange(least, most)))
+    earliest = config.frame_period - config.frame_period * config.tolerance // 1000
+    if width == 0 or earliest < 4 * least or rng.random() < 0.6:
+        return width, 0
+    width = min(width, earliest - 2 * least)
+    return width, rng.randrange(least, earliest - least - width + 1)
 
 
 def keep_awake(scene: Scene) -> None:
@@ -208,7 +215,7 @@ def end_by(rng: random.Random, scene: Scene, what: str, at: int, native: bool, s
             scene.actions.append((at, "stall", 0, rng.choice((MS, 3 * MS, 5 * MS, 30 * MS, rng.randrange(MS, 8 * MS)))))
         case "commit":
             period = rng.choice((scene.config.frame_period, rng.randrange(2 * MS, 12 * MS)))
-            width = CameraTrigger(generation, scene.trigger or CAMERA_TRIGGER_MIN_TICKS, 0)
+            width = CameraTrigger(generation, CAMERA_TRIGGER_MIN_TICKS, 0)
             staged = [legal_config(rng, generation, period), Commit(generation)]
             send(at, *staged, *((width,) if rng.random() < 0.3 else ()), Wiring())
         case "preamble":
@@ -226,8 +233,9 @@ def end_by(rng: random.Random, scene: Scene, what: str, at: int, native: bool, s
         case "rewire":
             generation = generation % 255 + 1
             period = rng.choice((scene.config.frame_period, rng.randrange(2 * MS, 6 * MS)))
-            lasts = camera_trigger(rng) if not scene.trigger or rng.random() < 0.3 else 0
-            staged = [legal_config(rng, generation, period), CameraTrigger(generation, lasts, 0), Commit(generation)]
+            new = legal_config(rng, generation, period)
+            lasts = camera_trigger(rng, new) if not scene.trigger[0] or rng.random() < 0.6 else (0, 0)
+            staged = [new, CameraTrigger(generation, *lasts), Commit(generation)]
             send(at, Arm(ArmFlag(0)), *staged, Wiring(), Arm(scene.outputs))
         case "late clear":
             send(at, Clear(), Status())

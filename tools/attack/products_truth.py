@@ -32,6 +32,7 @@ LATCHING = {
     FaultCode.LIMIT,
     FaultCode.INTERLOCK_DISAGREES,
 }
+TRIGGER_LATE = 60  # ticks that one may begin later than its delay after an edge
 SETTLED = 40  # ticks by which an edge and a transition of the odometer may change places
 
 
@@ -55,7 +56,8 @@ def first_fault_stays(kept: Kept, told: list[Told]) -> None:
         told_only = other == FaultCode.INTERLOCK_DISAGREES
         sure = between or told_only or any(c.reply is None for c in clears)
         insist(sure, f"{other!r} latched over {what!r}", second.tick)
-        if not between and told_only:
+        surely = any(accepted(c) and first.tick <= c.sent and c.answered <= second.tick for c in clears)
+        if told_only and not surely:
             behind.append(second.index)
     faults = [(item, what) for item, what in faults if item.index not in behind]
     ends = [*(item.tick for item, _ in faults), 1 << 62][1:]
@@ -70,25 +72,40 @@ def first_fault_stays(kept: Kept, told: list[Told]) -> None:
 # ---- the cameras' clock ----
 
 
-def camera_trigger(kept: Kept) -> None:
-    """Exact period and width, but where a commit changed them."""
+def camera_trigger(kept: Kept, edges: list[int] | None) -> None:
+    """Exact width, and period or delay, but where a commit changed them. `edges`: ticks of those that counted."""
     before = kept.trigger
     changes, _ = triggers(kept, before)
     pulses = kept.pulses.get(PIN_CAMERA_TRIGGER, [])
     if kept.boots or any(asked.reply is None for asked in kept.asked if isinstance(asked.command, Commit)):
         return
-    at, (period, width) = 0, before or (0, 0)
+    at, (period, width, delay) = 0, before or (0, 0, 0)
     known = before is not None
-    for sent, answered, (new_period, new_width) in [*changes, (1 << 62, 1 << 62, (0, 0))]:
+    for sent, answered, new in [*changes, (1 << 62, 1 << 62, (0, 0, 0))]:
         mine = pulses[at : bisect_left(pulses, (sent, 0))]
         mine = (mine[1:] if at else mine) if known else []  # the first one may last longer
         known = True
         insist(width > 0 or not mine, "a trigger, though there are none", mine[0][0] if mine else 0)
         for rise, fall in mine[: -1 if sent < 1 << 62 else None]:
             insist(fall - rise == width, f"a trigger of {fall - rise} ticks, {width} were in force", rise)
-        for (first, _), (second, _) in pairwise(mine):
-            insist(second - first == period, f"a trigger after {second - first} ticks, due {period}", second)
-        at, (period, width) = bisect_right(pulses, (answered, 0)), (new_period, new_width)
+        if delay:
+            _begun_by_edges(mine, edges, delay) if edges is not None else None
+        else:
+            for (first, _), (second, _) in pairwise(mine):
+                insist(second - first == period, f"a trigger after {second - first} ticks, due {period}", second)
+        at, (period, width, delay) = bisect_right(pulses, (answered, 0)), new
+
+
+def _begun_by_edges(triggers: list[tuple[int, int]], edges: list[int], delay: int) -> None:
+    """Each by one that counted, and by every one of those between them."""
+    begun = set[int]()
+    for rise, _ in triggers:
+        at = bisect_right(edges, rise - delay) - 1
+        late = rise - delay - edges[at] if at >= 0 else 1 << 62
+        insist(late <= TRIGGER_LATE, f"a trigger {late} ticks after an edge and {delay}", rise)
+        begun.add(at)
+    missing = set(range(min(begun), max(begun))) - begun if begun else set[int]()
+    insist(not missing, "an edge that counted and began no trigger", edges[min(missing)] if missing else 0)
 
 
 # ---- a measurement ----

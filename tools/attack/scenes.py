@@ -60,7 +60,7 @@ class Scene:
     turntable: Turntable | None = None  # what it is told to begin with
     preamble: Preamble | None = None  # and what preambles are to be like
     level: int = 1  # of the host
-    trigger: int = 0  # how long each of the camera's triggers lasts; their ends are the edges then
+    trigger: tuple[int, int] = (0, 0)  # of cameras: how long each lasts, and how long after an edge; 0: its end is one
     erase: int = 0  # how long the flash takes for a sector
     resets: bool = False  # it ends with one
     antivalent: bool = False  # the interlock has its second input

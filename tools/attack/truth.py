@@ -57,7 +57,6 @@ class Truth:
             lambda: self.limits.judge(kept),
             lambda: self._interlock(kept, scene),
             lambda: self._boots(kept, scene),
-            lambda: products_truth.camera_trigger(kept),
             lambda: updates.judge(kept, self.board.name),
             lambda: unplugged(kept, scene.line, self.board),
             lambda: self._answers(kept),
@@ -82,6 +81,7 @@ class Truth:
                 lambda: trains(kept, told, self.board.now) if whole and self._knows_trains(kept) else None,
                 lambda: self._counters(kept, told, whole),
                 lambda: self._odometer(kept, told, scene, whole),
+                lambda: products_truth.camera_trigger(kept, told_edges(told) if whole else None),
                 lambda: products_truth.first_fault_stays(kept, told) if whole else None,
                 lambda: interlock.says(kept, told, scene) if whole else None,
                 lambda: interlock.disagrees(kept, told, scene, self.board) if whole else None,
@@ -307,3 +307,7 @@ class Truth:
                 len(came) >= len(when),
                 f"event {index} was promised {len(when)} times by reread and came {len(came)} times",
             )
+
+
+def told_edges(told: list[Told]) -> list[int]:
+    return [item.tick for item in told if isinstance(item.event, Edge)]
