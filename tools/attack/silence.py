@@ -1,7 +1,7 @@
 """A host that says nothing: what is live ends within the timeout and not before, says so, and stays latched."""
 
-from annulus.controller import PIN_CAMERA_TRIGGER
-from annulus.link.messages import Arm, Clear, Fault, FaultCode, Stage, StatusCode
+from annulus.controller import PIN_CAMERA_TRIGGER, PIN_STEP
+from annulus.link.messages import Arm, Clear, Fault, FaultCode, Move, Stage, StatusCode
 from tools.attack.boards import MS, USB, Board, insist
 from tools.attack.kept import Kept, Told
 
@@ -79,12 +79,15 @@ def _stays(kept: Kept, told: list[Told]) -> None:
 
 
 def unplugged(kept: Kept, line: int, board: Board) -> None:
-    """Without its plug, or its 5 V, the line of the host that commands is lost at once: gates dark, until one arms."""
+    """Without its plug or its 5 V the line of who commands is lost at once: dark, and no step, until one orders it."""
     late = 2 * board.round_max + sum(end - begin for begin, end in kept.stalls)
     for pulled in kept.unplugged if line == USB else ():
         dark = pulled + late
-        arms = [a.sent for a in kept.asked if isinstance(a.command, Arm) and a.command.outputs and a.sent > pulled]
+        later = [asked for asked in kept.asked if asked.sent > pulled]
+        arms = [asked.sent for asked in later if isinstance(asked.command, Arm) and asked.command.outputs]
+        moves = [asked.sent for asked in later if isinstance(asked.command, Move)]
         for pin, pulses in kept.pulses.items():
+            until = min([1 << 62, *(moves if pin == PIN_STEP else arms)])
             for rise, fall in pulses if pin != PIN_CAMERA_TRIGGER else ():
-                if pulled <= fall and rise < min([1 << 62, *arms]):
-                    insist(fall <= dark, f"GP{pin} lit {(fall - pulled) / MS:.2f} ms after the plug was pulled", rise)
+                if pulled <= fall and rise < until:
+                    insist(fall <= dark, f"GP{pin} high {(fall - pulled) / MS:.2f} ms after the plug was pulled", rise)
