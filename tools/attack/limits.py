@@ -55,9 +55,10 @@ class Limits:
 
     def judge(self, kept: Kept) -> None:
         for asked in kept.asked:
-            if isinstance(asked.command, Burst) and asked.reply and asked.reply.status == StatusCode.OK:
+            if isinstance(asked.command, Burst) and (asked.reply is None or asked.reply.status == StatusCode.OK):
                 on = chips_of(kept, asked).count("1") * asked.command.chip
-                self.burst_on = max(self.burst_on, on)
+                legal = on * 1000 <= MICROWAVE_DUTY_MAX_PERMILLE * asked.command.period
+                self.burst_on = max(self.burst_on, on if legal else 0)  # its answer may have gone with a pulled plug
         for pin, duty in self.duty.items():
             for rise, fall in kept.pulses.get(pin, ()):
                 if pin != PIN_MICROWAVE:
