@@ -16,6 +16,7 @@ void serial_number_start(void);
 void reset_start(void);   // the watchdog
 void pinuse_start(void);  // pins at rest, and which board this is
 void lines_start(void);   // the UART
+void time_begin(void);    // first of all
 void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
 void microwave_start(void);
@@ -32,6 +33,9 @@ void outputs_off(void);
 // Until something happens, 100 us at most.
 void sleep_start(void);
 void sleep_round(void);
+
+// Ticks at least from the reset to tick 0, in which every output was dark.
+uint32_t time_before(void);
 
 // Write a register, and the tick two before: nothing comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);

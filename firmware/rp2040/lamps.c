@@ -402,7 +402,8 @@ static void start_rings(void)
 void lamps_start(void)
 {
     odometer_start();
-    const duty_t owed = {.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_FLASH_OWES_MAX};
+    const duty_t owed = {.owing = board_cause() != BOOT_CAUSE_POWER_ON,
+                         .paid_at = BOARD_FLASH_OWES_MAX - time_before()};
     lamps.duty[0] = owed;
     lamps.duty[1] = owed;
     pio_load(PIO0, 0U, program, PROGRAM_LENGTH);

@@ -41,6 +41,9 @@ IN_FLASH void loader_enter(void)
     watchdog_kick();
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
     (void)clocks_start();
+    REGISTER(SYSTICK_RVR) = 0xFFFFFFU;  // for the application, which asks how long everything has been dark
+    REGISTER(SYSTICK_CVR) = 0U;
+    REGISTER(SYSTICK_CSR) = 5U;
     const volatile uint32_t* from = loader_load;
     for (volatile uint32_t* to = loader_start; to < loader_end; to++) {
         *to = *from++;

@@ -408,7 +408,7 @@ bool board_burst_running(uint16_t* const done)
 
 void microwave_start(void)
 {
-    owed = (duty_t){.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_BURST_OWES_MAX};
+    owed = (duty_t){.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_BURST_OWES_MAX - time_before()};
     pio_load(PIO1, 0U, program, PROGRAM_LENGTH);
     for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
         const uint32_t pin = (machine == CHIP_MACHINE) ? PIN_MICROWAVE : PIN_TRIGGER;

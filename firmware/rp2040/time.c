@@ -7,6 +7,7 @@
 
 static uint32_t ticks;
 static uint32_t systick;  // at the last look
+static uint32_t before;
 
 // SysTick counts down at clk_sys and wraps every 168 ms, later than the watchdog bites: somebody always looks in time.
 static uint32_t tick_of(const uint32_t count)
@@ -31,6 +32,17 @@ uint32_t time_of_write(const uint32_t address, const uint32_t value)
                    : "l"(SYSTICK_CVR), "l"(value), "l"(address)
                    : "memory");
     return tick_of(count);
+}
+
+uint32_t time_before(void)
+{
+    return before;
+}
+
+// The loader started SysTick. Where that took longer than a turn of it, or was slower, less is said than was.
+void time_begin(void)
+{
+    before = 0xFFFFFFU - REGISTER(SYSTICK_CVR);
 }
 
 void time_start(void)

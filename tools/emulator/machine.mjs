@@ -198,7 +198,7 @@ export class Machine {
     if (!this.isTransferring) this.tickClock();
     if (address >>> 12 === 0xe000e) {
       if (address === 0xe000e018) {
-        this.tickOrigin ??= this.now; // the controller's tick 0
+        this.tickOrigin ??= this.now; // the controller's tick 0: its first look after it began anew
         return this.systick.read(this.now);
       }
       return chip.ppb.readUint32(address & 0xfff);
@@ -243,7 +243,7 @@ export class Machine {
     if (address >>> 12 === 0xe000e) {
       if (address === 0xe000e010) return this.systick.control(value, this.now);
       if (address === 0xe000e014) return (this.systick.reload = value & 0xffffff);
-      if (address === 0xe000e018) return (this.systick.from = this.now); // any write makes it zero
+      if (address === 0xe000e018) return ([this.systick.from, this.tickOrigin] = [this.now, undefined]); // any write makes it zero
       return chip.ppb.writeUint32(address & 0xfff, value);
     }
     if (address >>> 16 === 0xd000) return chip.sio.writeUint32(address & 0xffff, value);
