@@ -38,7 +38,6 @@ CABLE_MM, HEAD_DEG = 1.0, 0.3  # random walk a root of a metre: cable beside its
 HEAD_FREE_DEG = 4.0  # .. of a head whose roll no sensor said
 OVAL_MM, OVAL_ALIKE_MM = 0.03, 240.0  # of ovality between years, until it is measured; over which its error is alike ..
 OVAL_LEAST_MM, OVAL_FAR_MM, OVAL_CUT = 0.002, 4000.0, 25.0  # .. at least, and at most; sigma squared
-IMU_DEG, IMU_ALIKE_MM = 0.15, 400.0
 BARE, BARE_MISFIT = 0.5, 1.5  # share of rows found again below which a wall is bare; its defects' growth misleads
 MISFIT = 1.5  # by which errors are larger than the costs say: neighbouring cells are alike
 CALM = 1.0  # sigma of the smoothing of both, rows and columns: blurs both alike, and noise to a quarter

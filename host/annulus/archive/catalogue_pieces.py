@@ -15,7 +15,7 @@ from annulus.archive.catalogue_store import file_of, pack_folders, survey_folder
 from annulus.extras import need
 from annulus.untrusted import one_line
 
-MEMORY_MB, THREADS_MAX = 1024, 8
+MEMORY_MB = 1024
 _SQL_OF = {
     "text": "VARCHAR", "number": "DOUBLE", "whole": "BIGINT", "yes": "BOOLEAN", "date": "DATE", "time": "TIMESTAMP",
     "measures": "MAP(VARCHAR, DOUBLE)",

@@ -43,7 +43,7 @@ class Publishing(Pool, Observer):
         self._setup["calibration"] = None if calibration is None else calibration.to_dict()
         self._setup["scan"] = None  # under way, for one that takes over
         self._sent: Counter[str] = Counter()
-        self._floods = self._notes_dropped = 0
+        self._notes_dropped = 0
         self._was_up = False  # before, nobody could listen: what is said then is lost to nobody
         command = child("annulus.daemon.publisher")
         kind = WorkerKind("publisher", command, self._setup, 1, PUBLISHER_SHARE, spares=1)

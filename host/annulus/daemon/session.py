@@ -161,11 +161,6 @@ class Session:
         spares["camera spare"] = [feed.spare_pid for feed in self._feeds if feed.spare_pid is not None]
         return {**up, **spares, "camera": [feed.pid for feed in self._feeds if feed.pid is not None]}
 
-    @property
-    def control_address(self) -> str:
-        """Where the control socket really is; empty without one, and before power-up."""
-        return self._power.control.address if self._power is not None and self._power.control is not None else ""
-
     def telemetry(self) -> dict[str, Any]:
         """Every counter there is, as plain types."""
         power = self._power

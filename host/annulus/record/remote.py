@@ -19,7 +19,7 @@ import random
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from io import SEEK_CUR, SEEK_END, SEEK_SET
@@ -455,14 +455,3 @@ def remote_file(url: Url, known: Told | None) -> RemoteFile:
             files.popitem(last=False)
     files.move_to_end(key)
     return files[key]
-
-
-def let_go(url: Url) -> None:
-    """Of what this thread holds of a file."""
-    for key in [one for one in _KEPT.files if one[0] == url]:
-        del _KEPT.files[key]
-
-
-def ranges_of(pieces: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """(offset, length) as (from, to)."""
-    return ((offset, offset + length) for offset, length in pieces)

@@ -33,7 +33,6 @@ _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "native_pins": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
     "native_pin": (ctypes.c_uint8, (ctypes.c_uint8,)),
     "native_stall_cpu": (None, (ctypes.c_uint64,)),
-    "native_refuse_next": (None, ()),
     "native_lost": (None, (ctypes.c_void_p,)),
 }
 
@@ -165,10 +164,6 @@ class NativeBoard:
     def stall_cpu(self, ticks: int) -> None:
         """The controller's main loop stands still for so long; hardware goes on, the watchdog bites after 100 ms."""
         self._live().native_stall_cpu(ticks)
-
-    def refuse_next(self) -> None:
-        """The board refuses the next lit flash or burst, as it does beyond a compiled-in limit."""
-        self._live().native_refuse_next()
 
     def lost(self) -> dict[str, int]:
         """What the simulation itself had to drop because nobody drained it; all zero in a sound set-up."""

@@ -135,7 +135,7 @@ class SoakWorld:
         self._zero_at, self._zeroing = -1, False
         self._unplugged_until = -1  # world tick
         self._rng = np.random.default_rng([seed, 6])
-        self._pull_at, self._pulled = 0, 0.0
+        self._pull_at = 0
         period = self.period
         self._stalls = [
             (self.driver.stall_begins(stall), self.driver.stall_ends(stall)) for stall in sorted(faults.stalls)
