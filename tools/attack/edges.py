@@ -33,6 +33,7 @@ from tools.attack.slots import Slots, is_order, order_at, orders_kept
 
 US = MS // 1000
 LAMP_PINS = {Lamp.PROJECTOR: PIN_PROJECTOR, Lamp.LED: PIN_LED}
+Flash = tuple[int, int, int]  # its edge, and from when to when the lamp is on
 FLASH_OWES = LAMP_WIDTH_MAX_TICKS * 1000 // LAMP_DUTY_MAX_PERMILLE
 
 
@@ -75,7 +76,7 @@ class Edges:
         falls = kept.falls
         taken: list[int] = []
         cuts = self._cuts(kept, told)
-        lit: dict[int, list[tuple[int, int]]] = {PIN_PROJECTOR: [], PIN_LED: []}
+        lit: dict[int, list[Flash]] = {PIN_PROJECTOR: [], PIN_LED: []}
         previous: Edge | None = None
         slot_free = True
         for item, edge in edges:
@@ -97,12 +98,12 @@ class Edges:
                 self._late(kept, told, tick, taken[-1] if taken else 0, lit)
             elif edge.lamp in LAMP_PINS:
                 rise = tick + edge.delay + self.board.latency
-                lit[LAMP_PINS[edge.lamp]].append((rise, rise + edge.width))
+                lit[LAMP_PINS[edge.lamp]].append((tick, rise, rise + edge.width))
                 self._flash(kept, edge, rise, tick, cuts)
             taken.append(tick)
             previous = edge
         for pin, wanted in lit.items():
-            starts = {rise for rise, _ in wanted}
+            starts = {rise for _, rise, _ in wanted}
             for rise, fall in kept.pulses.get(pin, ()):
                 insist(
                     rise in starts or not whole, f"GP{pin} lit for {fall - rise} ticks, of which no event tells", rise
@@ -150,9 +151,7 @@ class Edges:
             short = found[1] - found[0] < edge.width and any(low <= found[1] <= high for low, high in cuts)
             insist(short, f"{edge}: GP{pin} was lit for {found[1] - found[0]} ticks, and nothing cut it", tick)
 
-    def _late(
-        self, kept: Kept, told: list[Told], tick: int, previous: int, lit: dict[int, list[tuple[int, int]]]
-    ) -> None:
+    def _late(self, kept: Kept, told: list[Told], tick: int, previous: int, lit: dict[int, list[Flash]]) -> None:
         """Allowed after a main loop held up, an edge just before, or an order that changes what is loaded."""
         patience = self.board.round_max
         configured = [i for i in told if isinstance(i.event, Configured) and previous <= i.tick <= tick]
@@ -160,19 +159,27 @@ class Edges:
             previous == 0 or tick - previous < patience,
             previous - self.board.origin < FLASH_OWES,  # by then a flash of before a reset is paid for
             len(configured) > 1,  # two hold-offs
-            configured and self._owes(kept, lit, previous, tick),  # dark time that an earlier edge would not pay
+            self._owes(kept, told, lit, previous, tick),
             any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
             any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if reloads_flash(a)),
             any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),
         )
         insist(any(reasons), "late_load, and nothing held the main loop up", tick)
 
-    def _owes(self, kept: Kept, lit: dict[int, list[tuple[int, int]]], previous: int, tick: int) -> bool:
-        """Does a lamp owe dark time to the earliest edge after `previous`? Also for a flash that was cut."""
+    def _owes(self, kept: Kept, told: list[Told], lit: dict[int, list[Flash]], previous: int, tick: int) -> bool:
+        """Does a lamp owe dark time to the earliest edge after `previous`? Also for a flash that was cut. By itself no
+        configuration leaves any: it has changed since the edge of that flash.
+        """
         restarts = [sent for sent, done in kept.restarts if previous <= done and sent <= tick]  # end a hold-off
         earliest = min([previous + min(map(holdoff, self.configs(kept))), *restarts])
-        shone = [pulse for pin in LAMP_PINS.values() for pulse in kept.pulses.get(pin, ()) if pulse[0] < tick]
-        return any(fall + (fall - rise) > earliest for rise, fall in (*shone, *chain(*lit.values())))
+        configured = max((i.tick for i in told if isinstance(i.event, Configured) and i.tick <= tick), default=0)
+        of_events = list(chain(*lit.values()))
+        starts = {rise for _, rise, _ in of_events}
+        before = max(config.frame_period for config in self.configs(kept))
+        untold = [(rise - before, rise, fall) for pin in LAMP_PINS.values() for rise, fall in kept.pulses.get(pin, ())
+                  if rise < tick and rise not in starts]  # fmt: skip
+        since = configured + self.board.round_max  # an edge within the round in which it changed is of before
+        return any(fall + (fall - rise) > earliest and edge <= since for edge, rise, fall in of_events + untold)
 
     def _accepted(self, kept: Kept, taken: list[int]) -> None:
         """Every edge outside the hold-off counts, but those that are told to have been dropped; none within it."""

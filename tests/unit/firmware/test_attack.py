@@ -56,6 +56,11 @@ MUTANTS = {
     "another board's application": ("core/update.c", "if (!whole || !belongs_here(", "if (!whole || belongs_here("),
     "an edge dropped and not counted": ("native/lamps.c", "lamps.dropped += is_full ? 1U : 0U;", ""),
     "a flash that outlives the plug": ("core/safety.c", "!board_connected(self->session) ||", ""),
+    "a lamp that owes too much": (
+        "native/lamps.c",
+        "delay_ticks, flash->width_ticks,",
+        "delay_ticks, 3U * flash->width_ticks / 2U,",
+    ),
 }
 SOON = {  # a seed whose scenes find it within a second or two; 3 finds each within 20 000 edges, in up to 30 s
     "the other lamp's delay": 10,
@@ -79,6 +84,7 @@ MEETING = {  # and those that only products find
     "another board's application": 1,
     "an edge dropped and not counted": 1,
     "a flash that outlives the plug": 1,
+    "a lamp that owes too much": 1,
 }
 
 
