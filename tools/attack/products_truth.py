@@ -115,17 +115,23 @@ def measured(kept: Kept) -> list[tuple[int, int, int, int]]:
     """Begun at the earliest and latest, ended at the earliest and latest; each measurement that may have been."""
     spans: list[tuple[int, int, int, int]] = []
     begun: Asked | None = None
+    ends = 1 << 62  # `begun` at the earliest: by an order of which nobody knows whether it was heard
     for asked in kept.asked:
         command = asked.command
-        if isinstance(command, Measure) and asked.reply is None:
+        begins = isinstance(command, Measure) and command.looks > 0
+        if not isinstance(command, Measure | Identify):
+            continue
+        if begins and asked.reply is None:
             spans.append((asked.sent, 1 << 62, asked.sent, 1 << 62))
-        elif isinstance(command, Measure) and accepted(asked) and command.looks:
-            begun = begun or asked
-        elif begun and (isinstance(command, Identify) or (isinstance(command, Measure) and not command.looks)):
-            spans.append((begun.sent, begun.answered, asked.sent, asked.answered))
-            begun = None
+        elif asked.reply is None:
+            ends = min(ends, asked.sent)
+        elif begun and (not begins or (accepted(asked) and ends < asked.sent)):
+            spans.append((begun.sent, begun.answered, min(ends, asked.sent), asked.answered))
+            begun, ends = asked if begins else None, 1 << 62
+        elif begins and accepted(asked):
+            begun, ends = begun or asked, ends if begun else 1 << 62
     if begun:
-        spans.append((begun.sent, begun.answered, 1 << 62, 1 << 62))
+        spans.append((begun.sent, begun.answered, ends, 1 << 62))
     return spans
 
 
