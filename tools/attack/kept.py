@@ -12,6 +12,7 @@ from annulus.link.messages import (
     CameraTrigger,
     Command,
     Commit,
+    Configured,
     Event,
     HealthReply,
     Reply,
@@ -21,6 +22,9 @@ from annulus.link.messages import (
 )
 
 OPENS = {PIN_INTERLOCK: 1, PIN_INTERLOCK_ANTIVALENT: 0}  # level at which an input of the interlock says open
+
+A_ROUND = 50_000  # ticks: from the tick an event of the main loop bears until what it tells of is surely done
+UNPLUGGED = 500_000  # and from when a plug was pulled until nothing that came before is taken
 
 Trigger = tuple[int, int, int]  # of cameras: period, width, and delay after an edge of the sync input
 
@@ -96,6 +100,29 @@ def accepted(asked: Asked) -> bool:
     return asked.reply is not None and asked.reply.status == StatusCode.OK
 
 
+def carried_out(kept: Kept, asked: Asked) -> int | None:
+    """By when at the latest; None: not, or nobody can tell. Where the answers went with a plug, a configuration that
+    came into force was committed, and what the host had sent for it before was taken.
+    """
+    if accepted(asked):
+        return asked.answered
+    command = asked.command
+    pulled = next((tick for tick in kept.unplugged if tick >= asked.sent), None)
+    if pulled is None or not isinstance(command, Stage | CameraTrigger | Commit):
+        return None
+    if any(a.reply for a in kept.asked if a.line == asked.line and asked.sent <= a.sent <= pulled):
+        return None  # itself, or one that came after it: only it was lost
+    events = [(item.tick, item.event) for item in kept.told.values() if item.tick >= asked.sent]
+    shown = [t for t, event in events if isinstance(event, Configured) and event.generation == command.generation]
+    if shown:
+        return max(shown) + A_ROUND
+    commits = [a.command for a in kept.asked if a.sent < asked.sent and accepted(a) and isinstance(a.command, Commit)]
+    before = any(commit.generation == command.generation for commit in commits)  # another, with the same number
+    if before or kept.last is None or kept.last.generation != command.generation:
+        return None
+    return pulled + sum(end - begin for begin, end in kept.stalls) + UNPLUGGED
+
+
 def edges_of(kept: Kept) -> Trigger | None:
     """Finds the falls that are the controller's edges: of the sync input, or of the cameras' triggers while it makes
     them. What of these is in force in the end.
@@ -107,8 +134,8 @@ def edges_of(kept: Kept) -> Trigger | None:
     for sent, done, trigger in changes:
         kept.restarts.append((sent, done))
         kept.falls += [fall for fall in clocks[makes] if begin <= fall < sent]
-        makes, begin = leads(trigger), done + 1
-        either = sorted(fall for falls in clocks.values() for fall in falls if sent <= fall <= done)
+        either = sorted(fall for falls in clocks.values() for fall in falls if max(sent, begin) <= fall <= done)
+        makes, begin = leads(trigger), max(begin, done + 1)
         kept.falls += either
         kept.doubtful.update(either, [fall for fall in clocks[makes] if fall > done][:1])  # which ends no hold-off
     kept.falls += [fall for fall in clocks[makes] if begin <= fall]
@@ -128,8 +155,8 @@ def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, T
     force = staged = before or (0, 0, 0)
     changes: list[tuple[int, int, Trigger]] = []
     for asked in kept.asked:
-        command = asked.command
-        if not accepted(asked):
+        command, done = asked.command, carried_out(kept, asked)
+        if done is None:
             continue
         if isinstance(command, Stage):
             _, width, delay = force
@@ -141,6 +168,6 @@ def triggers(kept: Kept, before: Trigger | None) -> tuple[list[tuple[int, int, T
         elif isinstance(command, Commit):
             same_pace = staged[1:] == force[1:] and (staged[0] == force[0] or not leads(staged))
             if (before is None and not changes) or not same_pace:
-                changes.append((asked.sent, asked.answered, staged))
+                changes.append((asked.sent, done, staged))
             force = staged
     return changes, force
