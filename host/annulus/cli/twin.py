@@ -45,12 +45,15 @@ def run(
     trigger: Trigger = "none",
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
+    from annulus.capture.timing import trigger_named
     from annulus.link.pins import pins_of
+
+    wired, takes = pins_of(inverted), trigger_named(trigger)  # before what takes seconds to import
     from annulus.twin.head import run_head
 
     run_head(
         fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m,
-        pins=pins_of(inverted), trigger=trigger,
+        pins=wired, trigger=takes,
     )  # fmt: skip
 
 
@@ -96,7 +99,10 @@ def soak(
     as_json: Json = False,
 ) -> None:
     """Labels and places under faults in virtual time: real firmware, link and labelling, scored against truth."""
+    from annulus.capture.timing import trigger_named
     from annulus.link.pins import pins_of
+
+    wired, takes = pins_of(inverted), trigger_named(trigger)  # before what takes seconds to import
     from annulus.twin.soak import soak
 
     if witnesses:
@@ -111,8 +117,8 @@ def soak(
             board=board,
             jobs=jobs or None,
             progress=report,
-            pins=pins_of(inverted),
-            trigger=trigger,
+            pins=wired,
+            trigger=takes,
         )
     if as_json:
         print(json.dumps(result))

@@ -1,7 +1,9 @@
 """The soak is an honest judge: nothing wrong where labels are sound, and every frame in its account."""
 
 import pytest
+from typer.testing import CliRunner
 
+from annulus.cli import app
 from annulus.link.pins import pins_of
 from annulus.twin.faults import Faults
 from annulus.twin.soak import soak
@@ -39,6 +41,13 @@ def test_what_a_soak_cannot_run_is_refused() -> None:
         soak(50)
     with pytest.raises(AnnulusError, match="no such fault file"):
         soak(100, faults="bad-luck")
+
+
+@pytest.mark.parametrize("command", ["soak", "run"])
+@pytest.mark.parametrize("wrong", ["--trigger=maybe", "--inverted=led,led", "--inverted=interlock"])
+def test_wiring_that_nothing_takes_is_refused(command: str, wrong: str) -> None:
+    done = CliRunner().invoke(app, ["twin", command, wrong])
+    assert isinstance(done.exception, AnnulusError) and "expected" in str(done.exception)
 
 
 def test_no_label_is_wrong_where_lamps_are_active_low_and_the_sync_rises() -> None:
