@@ -13,10 +13,10 @@
 // In the order in which they must be called after reset.
 void identity_start(void);
 void serial_number_start(void);
-void reset_start(void);   // the watchdog
-void pinuse_start(void);  // pins at rest, and which board this is
-void lines_start(void);   // the UART
-void time_begin(void);    // first of all
+void reset_start(void);           // the watchdog
+void pinuse_start(void);          // pins at rest, and which board this is
+void lines_start(void);           // the UART
+void time_begin(bool by_loader);  // first of all
 void time_start(void);
 void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
 void microwave_start(void);

@@ -10,6 +10,7 @@
 #include "../core/messages.h"
 #include "../pins.h"
 #include "clocks.h"
+#include "flash.h"
 #include "hardware.h"
 #include "registers.h"
 
@@ -97,7 +98,7 @@ __attribute__((noreturn)) void reset_handler(const uint32_t mark, const uint32_t
     paint_stack();
     memset(bss_start, 0, (size_t)((uint8_t*)bss_end - (uint8_t*)bss_start));
     image_begin(mark, handover);
-    time_begin();
+    time_begin(mark == HANDOVER_MARK);
     start_clocks();
     start_peripherals();
     variant_prepare();  // settles while identity_start waits for random bits

@@ -39,10 +39,11 @@ uint32_t time_before(void)
     return before;
 }
 
-// The loader started SysTick. Where that took longer than a turn of it, or was slower, less is said than was.
-void time_begin(void)
+// The loader started SysTick. Where that took longer than a turn of it, or was slower, less is said than was; started
+// by a debugger, without the loader, nothing is known.
+void time_begin(const bool by_loader)
 {
-    before = 0xFFFFFFU - REGISTER(SYSTICK_CVR);
+    before = by_loader ? 0xFFFFFFU - REGISTER(SYSTICK_CVR) : 0U;
 }
 
 void time_start(void)
