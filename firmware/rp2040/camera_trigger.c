@@ -78,6 +78,8 @@ static void run_by_itself(void)
     give(words[2]);
     execute(MOV_PINS_OSR);
     execute(JMP(LAMP_DELAY));
+    // The end of the first trigger may come before a flash is loaded, and begins no hold-off of the sync input's: half
+    // a period is the shortest that a tolerance allows, and shorter than from trigger to trigger.
     lamps_follow(PIN_CAMERA_TRIGGER, running.period_ticks / 2U, DMA_STAMP);
     feed(DMA_CAMERA, true);
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(CAMERA_MACHINE);

@@ -297,9 +297,7 @@ static uint32_t at_edge_control(const uint32_t then)
 }
 
 // Both machines must agree: the lamp machine holds nothing meanwhile, and a pin that stands high is no edge to either.
-// A hold-off under way was the other pin's, and ends: else a faster clock's first edges would be lost in it. So that
-// the end of the first trigger, which may come before a flash is loaded, does not begin such a one either, it takes
-// half a period: the shortest that a tolerance allows, and shorter than from trigger to trigger.
+// A hold-off under way was of what was before, and ends: else a faster clock's first edges would be lost in it.
 // What stamps set off has run to its end, too, when the last edge is settled, and is changed before another can come.
 void lamps_follow(const uint32_t pin, const uint32_t holdoff_ticks, const uint32_t then)
 {

@@ -89,8 +89,8 @@ def test_triggers_are_exact_and_each_ones_end_is_an_edge_with_its_flash(
     followed = [end for end in ends if end > armed][: len(lit)]
     assert [tick - end for (tick, _), end in zip(lit, followed, strict=True)] == [1000 + LATENCY] * len(lit)
     assert [pin for _, pin in lit][:4] == [PIN_PROJECTOR, PIN_LED] * 2 and len(lit) >= count - 2
-    told = {board.origin + edge.tick for edge in board.heard(Edge) if edge.lamp}
-    assert all(min(tick - end for tick in told if tick >= end) <= 1 for end in followed[:-2])
+    reported = {board.origin + edge.tick for edge in board.heard(Edge) if edge.lamp}
+    assert all(min(tick - end for tick in reported if tick >= end) <= 1 for end in followed[:-2])
     assert not any(edge.flags & (EdgeFlag.IRREGULAR | EdgeFlag.LATE_LOAD) for edge in board.heard(Edge))
 
 
@@ -120,8 +120,8 @@ def test_each_accepted_edge_of_the_sync_input_begins_a_trigger_and_stays_the_edg
     assert set(board.widths(PIN_CAMERA_TRIGGER)) == {WIDTH}
     lit = sorted([*board.rises(PIN_PROJECTOR), *board.rises(PIN_LED)])
     assert [tick - edge for tick, edge in zip(lit, edges, strict=True)] == [1000 + LATENCY] * count
-    told = [edge for edge in board.heard(Edge) if edge.lamp]
-    assert all(0 <= board.origin + one.tick - edge <= 1 for one, edge in zip(told, edges, strict=True))
+    reported = [edge for edge in board.heard(Edge) if edge.lamp]
+    assert all(0 <= board.origin + one.tick - edge <= 1 for one, edge in zip(reported, edges, strict=True))
     status = board.request(Status())
     assert isinstance(status, StatusReply) and status.rejected == count
     again = configuration(generation=2, ratio=1, period=PERIOD, delay=1000, width=30_000, tolerance=5, readout=0)
@@ -188,9 +188,9 @@ def test_a_slow_sync_inputs_hold_off_swallows_no_end_of_the_triggers_that_take_i
     status = board.request(Status())
     assert isinstance(status, StatusReply) and status.rejected == 0
     ends = [tick for tick in board.falls(PIN_CAMERA_TRIGGER) if tick < board.now - MS]
-    told = [board.origin + edge.tick for edge in board.heard(Edge)][2:]
-    assert [tick - end for tick, end in zip(told, ends, strict=False)] == pytest.approx([0.5] * len(ends), abs=0.5)
-    assert len(told) >= len(ends) > 5
+    reported = [board.origin + edge.tick for edge in board.heard(Edge)][2:]
+    assert [tick - end for tick, end in zip(reported, ends, strict=False)] == pytest.approx([0.5] * len(ends), abs=0.5)
+    assert len(reported) >= len(ends) > 5
 
 
 def test_a_reset_while_triggers_run_feeds_no_block_that_is_in_reset(board: EmulatedBoard) -> None:

@@ -296,9 +296,9 @@ def a_place_asked_while_it_moves_never_goes_back(board: Board) -> str:
     asks = [(LEAD + 2 * MS + i * 3 * MS, Status()) for i in range(12)]
     orders = [(MS // 2, Move(position=at + 400, period=FAST, hold=0)), *asks]
     played = board.play(Scene(until=LEAD + 60 * MS, watch=(PIN_STEP,), orders=orders, after=LAG))
-    told = [reply.turntable - at for reply in played.replies if isinstance(reply, StatusReply)]
-    seen = f"{len(told)} times, {told[0]} .. {told[-1]} of 400"
-    expect(told == sorted(told) and told[0] >= 0 and told[-1] <= 400, seen)
+    asked = [reply.turntable - at for reply in played.replies if isinstance(reply, StatusReply)]
+    seen = f"{len(asked)} times, {asked[0]} .. {asked[-1]} of 400"
+    expect(asked == sorted(asked) and asked[0] >= 0 and asked[-1] <= 400, seen)
     expect(stands(played) == at + 400 == at + len(played.rises(PIN_STEP)), seen)
     return seen
 

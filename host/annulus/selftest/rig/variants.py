@@ -168,9 +168,11 @@ def a_triggers_end_is_an_edge_and_the_sync_input_is_nobodys(board: Board) -> str
     flashes = [tick for tick, _ in lit(played) if tick > ends[0]]
     expect(len(ends) - len(flashes) in (0, 1), f"{seen}; {len(flashes)} flashes")  # the last may come after the scene
     seen += f", {follows(board, flashes, ends[: len(flashes)], FLASHES['delay'])}"
-    told = [edge.tick for edge in played.heard(Edge)]
-    apart = [(b - a) % 2**32 - CLOCK for a, b in itertools.pairwise(told)]
-    expect(abs(len(told) - len(ends)) <= 1 and all(abs(off) <= 1 for off in apart), f"{seen}; edges told otherwise")
+    reported = [edge.tick for edge in played.heard(Edge)]
+    apart = [(b - a) % 2**32 - CLOCK for a, b in itertools.pairwise(reported)]
+    expect(
+        abs(len(reported) - len(ends)) <= 1 and all(abs(off) <= 1 for off in apart), f"{seen}; edges reported otherwise"
+    )
     expect(rejected(board) == before, f"{seen}; edges of the sync input were looked at")
     return seen
 
@@ -208,9 +210,9 @@ def no_end_of_a_trigger_is_lost_in_a_slow_inputs_hold_off(board: Board) -> str:
     scene = Scene(until=at, edges=camera([MS, at - MS]), watch=(PIN_CAMERA_TRIGGER,), orders=orders, after=20 * MS)
     played = board.play(scene)
     expect(all(reply and reply.status is StatusCode.OK for reply in played.replies), "refused")
-    ends, told = len(played.falls(PIN_CAMERA_TRIGGER)), len(played.heard(Edge)) - 2
-    seen = f"{told} of {ends}"
-    expect(ends > 5 and abs(told - ends) <= 1 and rejected(board) == before, seen)
+    ends, reported = len(played.falls(PIN_CAMERA_TRIGGER)), len(played.heard(Edge)) - 2
+    seen = f"{reported} of {ends}"
+    expect(ends > 5 and abs(reported - ends) <= 1 and rejected(board) == before, seen)
     return seen
 
 
