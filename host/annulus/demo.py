@@ -39,7 +39,7 @@ from annulus.reprocess import (
     photographs,
     stage_medians,
     warm_up,
-)  # fmt: skip
+)
 from annulus.stereo import CAMERA_MISSING
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
@@ -249,17 +249,20 @@ def _is_whole(job: Job, index: int) -> bool:
 
 def _account(
     job: Job, pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
-) -> Account:  # fmt: skip
+) -> Account:
     frames = {label.value: report.frames.get(label.value, 0) for label in Label}
     drops = {**report.drops, "reconstructed_after_the_scan": len(late)}
-    timing = {
-        **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
-    }  # fmt: skip
+    timing = {**stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps}
     return Account(
-        f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth,
-        origin=origin_of(job.scan), photographs=photographs(job, pipe, worth_showing(pipe.defects)),
+        f"annulus demo, simulated head, {pace.fps:g} fps",
+        frames,
+        drops,
+        timing,
+        truth=truth,
+        origin=origin_of(job.scan),
+        photographs=photographs(job, pipe, worth_showing(pipe.defects)),
         covariance_stated=job.calibration.covariance is not None,
-    )  # fmt: skip
+    )
 
 
 def _truth(world: World, pipe: Survey) -> dict[str, Any]:
@@ -269,9 +272,12 @@ def _truth(world: World, pipe: Survey) -> dict[str, Any]:
     scored = score(world, points, rings, [asdict(defect) for defect in pipe.defects])
     cloud, defects = scored["cloud"], scored["defects"]
     numbers = {
-        "rms_mm": round(cloud["rms_mm"], 4), "gross_percent": round(cloud["gross_over_2mm_percent"], 4),
-        "defects_true": defects["true"], "defects_found": defects["found"], "defects_false": defects["false"],
-    }  # fmt: skip
+        "rms_mm": round(cloud["rms_mm"], 4),
+        "gross_percent": round(cloud["gross_over_2mm_percent"], 4),
+        "defects_true": defects["true"],
+        "defects_found": defects["found"],
+        "defects_false": defects["false"],
+    }
     return {**numbers, **scored}
 
 

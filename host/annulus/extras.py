@@ -16,18 +16,34 @@ from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
 EXTRA_OF = {
-    "cvxpy": "tai", "h5py": "tai", "pyvisa": "tai", "pyvisa_py": "tai",
-    "laspy": "export", "lazrs": "export", "trimesh": "export", "ezdxf": "export", "openpyxl": "export",
+    "cvxpy": "tai",
+    "h5py": "tai",
+    "pyvisa": "tai",
+    "pyvisa_py": "tai",
+    "laspy": "export",
+    "lazrs": "export",
+    "trimesh": "export",
+    "ezdxf": "export",
+    "openpyxl": "export",
     "pye57": "e57",
     "weasyprint": "pdf",
     "simplejpeg": "pi",
-    "tifffile": "joints", "imagecodecs": "joints", "pydicom": "joints",
+    "tifffile": "joints",
+    "imagecodecs": "joints",
+    "pydicom": "joints",
     "skfem": "crossbore",
-    "starlette": "console", "uvicorn": "console", "websockets": "console",
+    "starlette": "console",
+    "uvicorn": "console",
+    "websockets": "console",
     "foxglove": "foxglove",
-    "duckdb": "archive", "pyarrow": "archive",
-    "distributed": "cluster", "fsspec": "cluster", "s3fs": "cluster", "gcsfs": "cluster", "paramiko": "cluster",
-}  # fmt: skip
+    "duckdb": "archive",
+    "pyarrow": "archive",
+    "distributed": "cluster",
+    "fsspec": "cluster",
+    "s3fs": "cluster",
+    "gcsfs": "cluster",
+    "paramiko": "cluster",
+}
 """By the name that is imported; where two extras have it, the one whose work is done more often."""
 
 

@@ -30,9 +30,14 @@ NONE = PolarityFlag(0)
 
 
 def start(
-    board: EmulatedBoard, *, generation: int = 1, inverted: PolarityFlag = NONE, width: int = WIDTH,
-    period: int = PERIOD, delay: int = 0,
-) -> None:  # fmt: skip
+    board: EmulatedBoard,
+    *,
+    generation: int = 1,
+    inverted: PolarityFlag = NONE,
+    width: int = WIDTH,
+    period: int = PERIOD,
+    delay: int = 0,
+) -> None:
     stage = configuration(
         generation=generation, ratio=1, period=period, delay=1000, width=30_000, tolerance=5, readout=0
     )
@@ -62,8 +67,13 @@ def test_triggers_are_exact_and_each_ones_end_is_an_edge_with_its_flash(
 ) -> None:
     turned = PolarityFlag.CAMERA_TRIGGER in inverted
     lamps = {PIN_PROJECTOR: PolarityFlag.PROJECTOR, PIN_LED: PolarityFlag.LED}
-    board.pull(*((pin, 1) for pin, flag in {**lamps, PIN_CAMERA_TRIGGER: PolarityFlag.CAMERA_TRIGGER}.items()
-                 if flag in inverted))  # fmt: skip
+    board.pull(
+        *(
+            (pin, 1)
+            for pin, flag in {**lamps, PIN_CAMERA_TRIGGER: PolarityFlag.CAMERA_TRIGGER}.items()
+            if flag in inverted
+        )
+    )
     if PolarityFlag.SYNC in inverted:
         board.input((board.now, PIN_SYNC, 0))
     board.identify()

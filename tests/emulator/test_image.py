@@ -6,18 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from emulated import (
-    BOOTED,
-    LATENCY,
-    MS,
-    ROOT,
-    ROUND_MAX,
-    EmulatedBoard,
-    EmulatorFault,
-    arm,
-    edges_from,
-    lamps_after,
-)
+from emulated import BOOTED, LATENCY, MS, ROOT, ROUND_MAX, EmulatedBoard, EmulatorFault, arm, edges_from, lamps_after
 
 from annulus.controller import (
     PIN_DIRECTION,

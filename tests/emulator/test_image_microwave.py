@@ -4,17 +4,9 @@ import itertools
 import random
 
 import pytest
-from emulated import (
-    MS,
-    EmulatedBoard,
-    arm,
-)
+from emulated import MS, EmulatedBoard, arm
 
-from annulus.controller import (
-    PIN_INTERLOCK,
-    PIN_MICROWAVE,
-    PIN_TRIGGER,
-)
+from annulus.controller import PIN_INTERLOCK, PIN_MICROWAVE, PIN_TRIGGER
 from annulus.link.messages import (
     Arm,
     ArmFlag,

@@ -5,13 +5,7 @@ import random
 import pytest
 from emulated import BOOTED, LATENCY, MS, OUTPUTS, EmulatedBoard, arm, edges_from
 
-from annulus.controller import (
-    PIN_LED,
-    PIN_MICROWAVE,
-    PIN_PROJECTOR,
-    PIN_STATUS,
-    PIN_TRIGGER,
-)
+from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_STATUS, PIN_TRIGGER
 from annulus.link.messages import (
     BOOTLOADER_NEEDS_USB,
     Arm,

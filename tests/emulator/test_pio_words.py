@@ -320,9 +320,16 @@ BOTH_CLOSED = (
 def test_the_guard_of_two_cuts_alike_whichever_input_opens(pios: Pios, pin: int, opens: int) -> None:
     inputs = [BOTH_CLOSED] * opens + [BOTH_CLOSED ^ 1 << pin] * 80
     trace = compare(
-        pios, 1, 3, start=TWO_AT + 5, cycles=opens + 50, tx=[3, 9, 9], inputs=inputs, pins=GATE_AND_TRIGGER,
+        pios,
+        1,
+        3,
+        start=TWO_AT + 5,
+        cycles=opens + 50,
+        tx=[3, 9, 9],
+        inputs=inputs,
+        pins=GATE_AND_TRIGGER,
         patches=LEADS_TO_TWO,
-    )  # fmt: skip
+    )
     for output in (5, 6):
         [(_, on), (_, off)] = runs(trace, output)
         unseen = 5 if pin == 7 else 13 + 3  # the second is sampled, and three cycles later judged
@@ -332,9 +339,16 @@ def test_the_guard_of_two_cuts_alike_whichever_input_opens(pios: Pios, pin: int,
 def test_the_guard_of_two_cuts_alike_when_its_credits_run_out(pios: Pios) -> None:
     credits = [7, 20, 3]
     trace = compare(
-        pios, 1, 3, start=TWO_AT + 5, cycles=300, tx=credits, inputs=[BOTH_CLOSED] * 300, pins=GATE_AND_TRIGGER,
+        pios,
+        1,
+        3,
+        start=TWO_AT + 5,
+        cycles=300,
+        tx=credits,
+        inputs=[BOTH_CLOSED] * 300,
+        pins=GATE_AND_TRIGGER,
         patches=LEADS_TO_TWO,
-    )  # fmt: skip
+    )
     lasted = 1 + sum(6 * (credit + 1) + 7 for credit in credits) + 5  # an old one's last step, each, finding none
     assert runs(trace, 5) == [(1, lasted), (0, 300 - lasted)]
 

@@ -141,9 +141,7 @@ def test_an_inverted_burst_is_the_burst_upside_down_and_ends_with_the_interlock(
     assert max(board.falls(PIN_MICROWAVE)) <= opened + 5 and max(board.rises(PIN_MICROWAVE)) <= opened + 5
 
 
-def test_polarity_does_not_change_while_anything_is_armed_and_a_stage_without_it_keeps_it(
-    board: EmulatedBoard,
-) -> None:
+def test_polarity_does_not_change_while_anything_is_armed_and_a_stage_without_it_keeps_it(board: EmulatedBoard) -> None:
     board.identify()
     wiring = board.request(Wiring())
     assert isinstance(wiring, WiringReply) and (wiring.driven, wiring.inverted) == (0, 0)

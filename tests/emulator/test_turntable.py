@@ -153,9 +153,9 @@ def test_a_stop_brakes_along_the_ramp_and_tells_where_it_stands(
 
 
 @pytest.mark.deep(but=1)
-@pytest.mark.parametrize(("sign", "pin", "cause"), [
-    (1, PIN_END_HIGH, StopCause.END_HIGH), (-1, PIN_END_LOW, StopCause.END_LOW),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("sign", "pin", "cause"), [(1, PIN_END_HIGH, StopCause.END_HIGH), (-1, PIN_END_LOW, StopCause.END_LOW)]
+)
 @pytest.mark.parametrize(("hard", "turns"), [(True, 1), (False, 4), (True, 4)])
 def test_an_end_switch_stops_motion_towards_it_however_short_the_touch(
     board: EmulatedBoard, sign: int, pin: int, cause: StopCause, hard: bool, turns: int

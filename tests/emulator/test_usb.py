@@ -5,12 +5,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from emulated import (
-    BOOTED,
-    MS,
-    EmulatedBoard,
-    configuration,
-)
+from emulated import BOOTED, MS, EmulatedBoard, configuration
 
 from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
 from annulus.link.codec import Frame, encode

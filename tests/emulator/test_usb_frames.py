@@ -106,8 +106,16 @@ def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(
     board.plug_in()
     rng = random.Random(17)
     for turn in range(turns):
-        arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=400_000,
-            readout=0, host_timeout=5000)  # fmt: skip
+        arm(
+            board,
+            ArmFlag.LAMPS | ArmFlag.MICROWAVE,
+            ratio=0,
+            period=1_000_000,
+            delay=100_000,
+            width=400_000,
+            readout=0,
+            host_timeout=5000,
+        )
         train = Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)
         assert board.request(train).status == StatusCode.OK
         for i in range(20):

@@ -109,15 +109,19 @@ class Guest:
         self._unread = b""
         subprocess.run(
             [str(PYTHON), "-c", f"import {IMPORTED}"],
-            env={**os.environ, "PYTHONPYCACHEPREFIX": str(COMPILED), "PYTHONDONTWRITEBYTECODE": ""}, check=True,
-        )  # fmt: skip
+            env={**os.environ, "PYTHONPYCACHEPREFIX": str(COMPILED), "PYTHONDONTWRITEBYTECODE": ""},
+            check=True,
+        )
         (self._folder / "initramfs").write_bytes(_initramfs(release))
         self._socket, theirs = socket.socketpair()
         with theirs:
             self._qemu = subprocess.Popen(
-                _command(release, self._folder, theirs.fileno()), pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=(self._folder / "qemu").open("wb"),
-            )  # fmt: skip
+                _command(release, self._folder, theirs.fileno()),
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=(self._folder / "qemu").open("wb"),
+            )
         began = time.monotonic()
         try:
             self.release = self._answer(0, BOOT_S).stdout
@@ -205,16 +209,38 @@ class Guest:
 
 def _command(release: str, folder: Path, port: int) -> list[str]:
     return [
-        "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot",
-        *(KVM if has_kvm() else TCG), "-smp", "2", "-m", "1536",
-        "-kernel", f"/boot/vmlinuz-{release}", "-initrd", str(folder / "initramfs"),
-        "-append", "console=ttyS0 rdinit=/init panic=-1 mitigations=off no_timer_check random.trust_cpu=on loglevel=6",
-        "-serial", f"file:{folder / 'console'}",
-        "-device", "virtio-serial-pci", "-chardev", f"socket,id=agent,fd={port}",
-        "-device", "virtserialport,chardev=agent,name=annulus",
-        "-netdev", "user,id=net", "-device", "virtio-net-pci,netdev=net,romfile=",
-        "-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
-    ]  # fmt: skip
+        "qemu-system-x86_64",
+        "-nodefaults",
+        "-no-user-config",
+        "-display",
+        "none",
+        "-no-reboot",
+        *(KVM if has_kvm() else TCG),
+        "-smp",
+        "2",
+        "-m",
+        "1536",
+        "-kernel",
+        f"/boot/vmlinuz-{release}",
+        "-initrd",
+        str(folder / "initramfs"),
+        "-append",
+        "console=ttyS0 rdinit=/init panic=-1 mitigations=off no_timer_check random.trust_cpu=on loglevel=6",
+        "-serial",
+        f"file:{folder / 'console'}",
+        "-device",
+        "virtio-serial-pci",
+        "-chardev",
+        f"socket,id=agent,fd={port}",
+        "-device",
+        "virtserialport,chardev=agent,name=annulus",
+        "-netdev",
+        "user,id=net",
+        "-device",
+        "virtio-net-pci,netdev=net,romfile=",
+        "-virtfs",
+        "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
+    ]
 
 
 def has_kvm() -> bool:

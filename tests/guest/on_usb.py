@@ -74,9 +74,18 @@ def flash(line: Client, *more: Command, outputs: ArmFlag = ArmFlag.LAMPS) -> Non
     if status(line)["fault"]:
         line.request(Clear(), PATIENCE_S)
     stage = Stage(
-        generation=1, ratio=1, frame_period=PERIOD, exposure=PERIOD, readout=0, tolerance=100, host_timeout=5000,
-        projector_delay=100_000, projector_width=400_000, led_delay=100_000, led_width=400_000,
-    )  # fmt: skip
+        generation=1,
+        ratio=1,
+        frame_period=PERIOD,
+        exposure=PERIOD,
+        readout=0,
+        tolerance=100,
+        host_timeout=5000,
+        projector_delay=100_000,
+        projector_width=400_000,
+        led_delay=100_000,
+        led_width=400_000,
+    )
     for command in (stage, Commit(1), Arm(outputs), *more):
         line.request(command, PATIENCE_S)
     end, count = time.monotonic() + PATIENCE_S, FLASHES
@@ -234,7 +243,8 @@ def detach(port: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    verb = {each.__name__: each for each in (
-        attach, work, pipeline, noise, reset, identify, die, close, unbind, bus_reset, detach,
-    )}[sys.argv[1]]  # fmt: skip
+    verb = {
+        each.__name__: each
+        for each in (attach, work, pipeline, noise, reset, identify, die, close, unbind, bus_reset, detach)
+    }[sys.argv[1]]
     print(json.dumps(verb(*sys.argv[2:])))

@@ -62,11 +62,14 @@ def main() -> None:
     for path in sorted(folder.glob("*.mcap")):
         recording = open_recording(path)
         labels = [recording.label(frame) for frame in recording.frames]
-        facts["scans"].append({
-            "counts": [label["sequence"] for label in labels], "stamps_ns": [label["timestamp_ns"] for label in labels],
-            "labels": sorted({label["label"] for label in labels}),
-            "shapes": sorted({recording.read(frame).shape for frame in recording.frames}),
-        })  # fmt: skip
+        facts["scans"].append(
+            {
+                "counts": [label["sequence"] for label in labels],
+                "stamps_ns": [label["timestamp_ns"] for label in labels],
+                "labels": sorted({label["label"] for label in labels}),
+                "shapes": sorted({recording.read(frame).shape for frame in recording.frames}),
+            }
+        )
     json.dump(facts, sys.stdout)
 
 

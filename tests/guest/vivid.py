@@ -167,12 +167,14 @@ def controls() -> dict[str, str]:
     device.set(videodev.CID_AUTOGAIN, 1)
     with Streaming() as frames:
         for name, wanted in (
-            ("automatic off", {"AeEnable": False}), ("gain", {"AnalogueGain": 77.0}),
-            ("gain too high", {"AnalogueGain": 9000.0}), ("exposure", {"ExposureTime": 38_000}),
+            ("automatic off", {"AeEnable": False}),
+            ("gain", {"AnalogueGain": 77.0}),
+            ("gain too high", {"AnalogueGain": 9000.0}),
+            ("exposure", {"ExposureTime": 38_000}),
             ("same rate", {"FrameDurationLimits": (40_000, 40_000)}),
             ("other rate", {"FrameDurationLimits": (66_667, 66_667)}),
             ("no such rate", {"FrameDurationLimits": (37_000, 37_000)}),
-        ):  # fmt: skip
+        ):
             try:
                 frames.camera.set_controls(wanted)
                 said[name] = ""

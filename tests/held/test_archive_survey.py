@@ -12,9 +12,7 @@ from typer.testing import CliRunner
 from annulus.cli import app
 
 SURVEY = Path(__file__).resolve().parents[3] / "shared" / "survey"
-pytestmark = [
-    pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)"),
-]
+pytestmark = [pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)")]
 
 
 def test_all_growth_is_found_and_none_made_up(tmp_path: Path) -> None:
@@ -23,9 +21,12 @@ def test_all_growth_is_found_and_none_made_up(tmp_path: Path) -> None:
     ran = CliRunner().invoke(app, ["archive", "compare", *maps, "-o", str(out)])
     assert ran.exit_code == 0, ran.output
     said = subprocess.run(
-        [sys.executable, str(SURVEY / "score.py"), str(out), str(SURVEY / "truth.json")], capture_output=True,
-        text=True, check=True, timeout=60,
-    ).stdout  # fmt: skip
+        [sys.executable, str(SURVEY / "score.py"), str(out), str(SURVEY / "truth.json")],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
     numbers = [float(number) for number in re.findall(r"-?\d+\.?\d*", said.replace("p95", "p"))]
     rms_mm, p95_mm, _, roll_deg, found, grown, false, error_mm = numbers
     assert rms_mm < 1.2 and p95_mm < 2.0 and roll_deg < 0.25, said

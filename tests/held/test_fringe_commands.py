@@ -17,9 +17,7 @@ from annulus.numeric.arrays import FloatArray
 SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 TRUTH = PLATE / "truth" / "truth.json"
-pytestmark = [
-    pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes")
-]  # fmt: skip
+pytestmark = [pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes")]
 
 
 def scorer() -> ModuleType:

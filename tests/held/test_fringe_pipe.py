@@ -4,9 +4,7 @@ import pytest
 
 from tools.bench.metrology.fringe_pipe import PIPE, judged
 
-pytestmark = [
-    pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes")
-]  # fmt: skip
+pytestmark = [pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes")]
 
 
 def test_the_pipe() -> None:

@@ -10,17 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.fringe import (
-    FringeProjector,
-    Points,
-    View,
-    find_steps,
-    heights,
-    merged,
-    noise_of,
-    spline,
-    untextured,
-)  # fmt: skip
+from annulus.fringe import FringeProjector, Points, View, find_steps, heights, merged, noise_of, spline, untextured
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import Float32Array, FloatArray
@@ -88,9 +78,7 @@ def test_the_plate(name: str, rms_mm: float, tmp_path: Path) -> None:
     both = merged(found)
     shape = (len(y), len(x))
     result = tmp_path / "depth.npz"
-    np.savez(
-        result, x_mm=x, y_mm=y, height_mm=both.height_mm.reshape(shape), sigma_mm=both.sigma_mm.reshape(shape)
-    )  # fmt: skip
+    np.savez(result, x_mm=x, y_mm=y, height_mm=both.height_mm.reshape(shape), sigma_mm=both.sigma_mm.reshape(shape))
     score = scorer().main(str(result), str(PLATE / "truth" / "truth.json"), name)
     assert score["rms_mm"] <= rms_mm
     assert score["completeness"] >= 0.994

@@ -62,9 +62,15 @@ def stage(*, generation: int = 1, ratio: int = 4, timeout_ms: int = 0, width: in
     """100 frames a second, everything exposes always; both lamps alike."""
     fields = {"frame_period": PERIOD, "exposure": PERIOD, "readout": 0, "tolerance": 100} | changes
     return Stage(
-        generation=generation, ratio=ratio, host_timeout=timeout_ms, projector_delay=50, projector_width=width,
-        led_delay=50, led_width=width, **fields,
-    )  # fmt: skip
+        generation=generation,
+        ratio=ratio,
+        host_timeout=timeout_ms,
+        projector_delay=50,
+        projector_width=width,
+        led_delay=50,
+        led_width=width,
+        **fields,
+    )
 
 
 @pytest.mark.deep(but=1)

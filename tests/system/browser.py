@@ -10,9 +10,15 @@ from typing import Any
 import pytest
 
 QUIET = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 
 
 @contextmanager
@@ -53,9 +59,11 @@ def faults(tab: Any) -> list[str]:
     found = tab.evaluate("axe.run(document, {resultTypes: ['violations', 'incomplete']})")
     nodes = [
         (one["id"], node["html"])
-        for kind in ("violations", "incomplete") for one in found[kind] for node in one["nodes"]
+        for kind in ("violations", "incomplete")
+        for one in found[kind]
+        for node in one["nodes"]
         if not (kind == "incomplete" and one["id"] == "color-contrast" and node["html"].startswith("<text"))
-    ]  # fmt: skip
+    ]
     out = [f"{name}: {html[:120]}" for name, html in nodes]
     drawn = tab.evaluate(_DRAWN)
     return out + [f"text in a drawing: {ink} on {paper}" for ink, paper in drawn if _contrast(ink, paper) < 4.5]

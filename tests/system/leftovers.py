@@ -35,11 +35,7 @@ class Traces:
         end = time.monotonic() + patience_s
         while (processes := self.processes()) and time.monotonic() < end:
             time.sleep(0.05)
-        left = {
-            "processes": processes,
-            "shm": left_in_shm(self._shm),
-            "temporary": set(os.listdir(self.temporary)),
-        }
+        left = {"processes": processes, "shm": left_in_shm(self._shm), "temporary": set(os.listdir(self.temporary))}
         return {what: which for what, which in left.items() if which}
 
 

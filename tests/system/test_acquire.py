@@ -21,9 +21,21 @@ ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
 RADIUS_MM, STEPS = 9.0, 40
 RIG = ["twin", "rig", "--phantom", "shapes", "--radius-mm", str(RADIUS_MM), "--steps-per-turn", str(STEPS)]
 SWEEP = [
-    "--radius-mm", str(RADIUS_MM), "--angles", "40", "--steps-per-turn", str(STEPS), "--averages", "64",
-    "--step-us", "2000", "--period-us", "500", "--range-v", "0.04",
-]  # fmt: skip
+    "--radius-mm",
+    str(RADIUS_MM),
+    "--angles",
+    "40",
+    "--steps-per-turn",
+    str(STEPS),
+    "--averages",
+    "64",
+    "--step-us",
+    "2000",
+    "--period-us",
+    "500",
+    "--range-v",
+    "0.04",
+]
 
 
 def run(*arguments: str, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
@@ -42,9 +54,12 @@ def positions(out: Path) -> int:
 def broken_off(out: Path, after: int, number: signal.Signals, *sweep: str, environment: dict[str, str]) -> int:
     """Acquire until so many angles are on the disk, then the signal."""
     shooting = subprocess.Popen(
-        [*ANNULUS, "tai", "acquire", *sweep], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        [*ANNULUS, "tai", "acquire", *sweep],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         preexec_fn=listen_to_ctrl_c,
-    )  # fmt: skip
+    )
     try:
         end = time.monotonic() + 90
         while positions(out) < after and shooting.poll() is None and time.monotonic() < end:

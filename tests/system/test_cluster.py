@@ -74,10 +74,7 @@ def whole(job: Job) -> Reprocessed:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
-    environment = {
-        "PYTHONPATH": os.fspath(Path(__file__).parent),
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
-    }
+    environment = {"PYTHONPATH": os.fspath(Path(__file__).parent), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
     with Cluster(environment=environment) as started:
         started.hire(2)
         yield started
@@ -212,8 +209,9 @@ def test_over_tls_both_sides_are_known_by_their_certificates(tmp_path: Path) -> 
     ]
     subprocess.run(
         [*made, "-keyout", key, "-out", cert, "-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1"],
-        check=True, capture_output=True,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+    )
     files = ("--tls-ca-file", os.fspath(cert), "--tls-cert", os.fspath(cert), "--tls-key", os.fspath(key))
     with Cluster(files, environment={"PYTHONPATH": os.fspath(Path(__file__).parent)}) as cluster:
         cluster.hire(1)

@@ -41,9 +41,12 @@ def head(daemon: FakeDaemon) -> FakeDaemon:
     """As it is in the morning."""
     daemon.job, daemon.state, daemon.trial_until, daemon.command = {}, "idle", None, None
     daemon.lamps = {
-        "ratio": 4, "projector_delay_us": 3000.0, "projector_width_us": 5000.0, "led_delay_us": 3000.0,
+        "ratio": 4,
+        "projector_delay_us": 3000.0,
+        "projector_width_us": 5000.0,
+        "led_delay_us": 3000.0,
         "led_width_us": 2500.0,
-    }  # fmt: skip
+    }
     daemon.asked.clear()
     return daemon
 
@@ -61,11 +64,16 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     result = folder / "elm-street-results"
     result.mkdir()
     summary = {
-        "format": "annulus-summary/1", "source": "elm-street.mcap", "created": "2026-11-25T06:29:48+00:00",
-        "job": {"pipe": "P-<b>1</b>", "site": "Elm Street"}, "scanned_mm": {"from": 0, "to": 401, "length": 401},
-        "diameter_mm": {"mean": 152.444, "k2": 0.1}, "defects": [{"depth_mm": 4.0}], "warnings": [],
+        "format": "annulus-summary/1",
+        "source": "elm-street.mcap",
+        "created": "2026-11-25T06:29:48+00:00",
+        "job": {"pipe": "P-<b>1</b>", "site": "Elm Street"},
+        "scanned_mm": {"from": 0, "to": 401, "length": 401},
+        "diameter_mm": {"mean": 152.444, "k2": 0.1},
+        "defects": [{"depth_mm": 4.0}],
+        "warnings": [],
         "conformity": {"decision": "does not conform"},
-    }  # fmt: skip
+    }
     (result / "summary.json").write_text(json.dumps(summary))
     (result / "report.html").write_text(
         "<!doctype html><title>r</title><p id=a>report</p><script>document.getElementById('a').textContent += ' drawn';"

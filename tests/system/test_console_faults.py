@@ -19,5 +19,10 @@ def test_a_scan_goes_on_whatever_becomes_of_console_network_and_viewers() -> Non
     assert faults.unlike(outcome) == []
     assert outcome.seen_again["status"] > 1.0  # the next console shows it again
     assert list(outcome.phases) == [
-        faults.CALM, faults.LOOKED_AT, faults.SUSPENDED, faults.CUT, faults.KILLED, faults.AFTER,
-    ]  # fmt: skip
+        faults.CALM,
+        faults.LOOKED_AT,
+        faults.SUSPENDED,
+        faults.CUT,
+        faults.KILLED,
+        faults.AFTER,
+    ]

@@ -53,9 +53,19 @@ class Console:
 def console() -> Iterator[Console]:
     with FakeDaemon(fps=25.0) as head:
         process = subprocess.Popen(
-            [sys.executable, "-c", "from annulus.cli import main; main()", "console", "--port", "0", "--daemon",
-             f"{head.publish},{head.control}"], stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-c",
+                "from annulus.cli import main; main()",
+                "console",
+                "--port",
+                "0",
+                "--daemon",
+                f"{head.publish},{head.control}",
+            ],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         try:
             assert process.stderr is not None
             said = re.search(r"http://[\d.:]+/", process.stderr.readline())
@@ -85,13 +95,24 @@ def page(console: Console, browser: Any) -> Iterator[Any]:
 class at:
     """A page, opened: `with at(console, browser, width=390) as tab:`."""
 
-    def __init__(self, console: Console, browser: Any, tab: str = "scan", width: int = 1400, theme: str = "light",
-                 language: str = "en", touch: bool = False) -> None:  # fmt: skip
+    def __init__(
+        self,
+        console: Console,
+        browser: Any,
+        tab: str = "scan",
+        width: int = 1400,
+        theme: str = "light",
+        language: str = "en",
+        touch: bool = False,
+    ) -> None:
         self.console, self.tab = console, tab
         self.context = browser.new_context(
-            viewport={"width": width, "height": 900}, color_scheme=theme, locale=language, has_touch=touch,
+            viewport={"width": width, "height": 900},
+            color_scheme=theme,
+            locale=language,
+            has_touch=touch,
             reduced_motion="reduce",
-        )  # fmt: skip
+        )
 
     def __enter__(self) -> Any:
         page = self.context.new_page()

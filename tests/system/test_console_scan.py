@@ -39,8 +39,9 @@ def test_from_the_job_to_the_report(tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from annulus.cli import main; main()"]
     console = subprocess.Popen(
         [*command, "console", "--demo", "--fps", str(FPS), "--port", "0", "--out", str(tmp_path)],
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert console.stderr is not None
         url = next(found[0] for line in console.stderr if (found := re.search(r"http://[\d.:]+/", line)))

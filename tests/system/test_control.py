@@ -96,9 +96,11 @@ def frames_are_what_they_are_called(recording: Recording) -> int:
 @pytest.mark.deep(gate="tests/system/test_control.py::test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays")
 def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_path: Path) -> None:
     config = replace(
-        demo_config(head, WORLD, tmp_path), calibration=None, autostart=False,
+        demo_config(head, WORLD, tmp_path),
+        calibration=None,
+        autostart=False,
         control=SocketConfig(f"ipc://{tmp_path}/control"),
-    )  # fmt: skip
+    )
     seen, failed = Bystander(), []
     session = Session(config, observer=seen, sensors=[Imu()], name="scan")
     done = threading.Event()
@@ -142,8 +144,9 @@ def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_p
     once = [State.ARMED, State.SCANNING, State.IDLE]
     assert seen.states == [State.POWERING, State.IDLE, *once, *once, State.ENDING, State.OFF], seen.told
     assert seen.reports[-1] is report and [r.recordings for r in seen.reports] == [
-        (tmp_path / "scan.mcap",), (tmp_path / "scan-2.mcap",)
-    ]  # fmt: skip
+        (tmp_path / "scan.mcap",),
+        (tmp_path / "scan-2.mcap",),
+    ]
     first, second = (open_recording(r.recordings[0]) for r in seen.reports)
     for recording, of in ((first, seen.reports[0]), (second, seen.reports[1])):
         assert frames_are_what_they_are_called(recording) >= 15
@@ -173,9 +176,12 @@ def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_p
 def test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays(head: HeadHandle, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     config = replace(
-        demo_config(head, WORLD, tmp_path), record_folder=tmp_path / "file", calibration=None, autostart=False,
+        demo_config(head, WORLD, tmp_path),
+        record_folder=tmp_path / "file",
+        calibration=None,
+        autostart=False,
         control=SocketConfig(f"ipc://{tmp_path}/control"),
-    )  # fmt: skip
+    )
     seen, done, failed = Bystander(), threading.Event(), []
     session = Session(config, observer=seen)
 
@@ -205,8 +211,8 @@ def test_lamps_that_somebody_switches_off_end_the_scan_and_stay_off_until_it_is_
     head: HeadHandle, tmp_path: Path
 ) -> None:
     config = replace(
-        demo_config(head, WORLD, tmp_path), calibration=None, control=SocketConfig(f"ipc://{tmp_path}/control"),
-    )  # fmt: skip
+        demo_config(head, WORLD, tmp_path), calibration=None, control=SocketConfig(f"ipc://{tmp_path}/control")
+    )
     seen, done, failed = Bystander(), threading.Event(), []
     session = Session(config, observer=seen, name="scan")
 

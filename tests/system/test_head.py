@@ -41,11 +41,18 @@ def armed(head: HeadHandle, **changes: Any) -> Client:
     client = Client(head.port_url)
     timing = head.timing
     settings = {
-        "generation": 1, "ratio": 1, "frame_period": round(timing.period_us * US),
-        "exposure": round(timing.exposure_us * US), "readout": round(timing.readout_us * US), "tolerance": 50,
-        "host_timeout": 2000, "projector_delay": 3000 * US, "projector_width": 5000 * US, "led_delay": 3000 * US,
+        "generation": 1,
+        "ratio": 1,
+        "frame_period": round(timing.period_us * US),
+        "exposure": round(timing.exposure_us * US),
+        "readout": round(timing.readout_us * US),
+        "tolerance": 50,
+        "host_timeout": 2000,
+        "projector_delay": 3000 * US,
+        "projector_width": 5000 * US,
+        "led_delay": 3000 * US,
         "led_width": 2500 * US,
-    }  # fmt: skip
+    }
     for command in (Stage(**{**settings, **changes}), Commit(1), Arm(ArmFlag.LAMPS)):
         assert client.request(command).status is StatusCode.OK
     return client

@@ -36,9 +36,16 @@ def picture(index: int) -> np.ndarray:
 def killed(folder: Path, codec: Codec, after_frames: int, after_s: float) -> tuple[set[int], int]:
     """Frames that were answered for, and how many were handed out; then the recorder was killed."""
     setup = {
-        "folder": str(folder), "name": "scan", "calibration": None, "configuration": {}, "bounds": [0.0, 0.0, 0.0],
-        "scan": "x", "realtime": False, "codec": codec.value, "clock": Clock.now().to_dict(),
-    }  # fmt: skip
+        "folder": str(folder),
+        "name": "scan",
+        "calibration": None,
+        "configuration": {},
+        "bounds": [0.0, 0.0, 0.0],
+        "scan": "x",
+        "realtime": False,
+        "codec": codec.value,
+        "clock": Clock.now().to_dict(),
+    }
     context, ring = zmq.Context(), FrameRing(2 * DEPTH, H * W)
     sockets = folder / "sockets"
     sockets.mkdir(parents=True)

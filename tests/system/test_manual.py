@@ -24,8 +24,15 @@ from tools.sample.__main__ import write as write_sample
 pytestmark = [pytest.mark.timeout(900), pytest.mark.deep(gate="tests/unit/test_docs.py::test_examples_can_be_typed")]
 
 AXED = ("index", "manual/first-scan", "manual/troubleshooting", "manual/head-toml", "manual/python")
-LOOKED_AT = (*AXED, "manual/commands", "manual/messages", "manual/topics", "manual/gallery", "manual/rooms/daemon",
-             "manual/accuracy/metrology")  # fmt: skip
+LOOKED_AT = (
+    *AXED,
+    "manual/commands",
+    "manual/messages",
+    "manual/topics",
+    "manual/gallery",
+    "manual/rooms/daemon",
+    "manual/accuracy/metrology",
+)
 RUN = re.compile(r"^<!-- run: .* -->\n```sh\n(.*?)^```", re.M | re.S)
 ALONE = ("timing", "sample", "burst show", "burst design", "bore simulate")  # need no head, file or minutes
 

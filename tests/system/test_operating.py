@@ -35,14 +35,14 @@ pytestmark = [
 STALL_S = 0.1  # a machine that stood still for longer keeps no promise in seconds
 
 
-def operated(
-    head: HeadHandle, folder: Path, operate: Callable[[ControlClient, Session], None]  # noqa: F811
-) -> Bystander:  # fmt: skip
+def operated(head: HeadHandle, folder: Path, operate: Callable[[ControlClient, Session], None]) -> Bystander:
     """The simulated head, run by its control socket."""
     config = replace(
-        demo_config(head, WORLD, folder), calibration=None, autostart=False,
+        demo_config(head, WORLD, folder),
+        calibration=None,
+        autostart=False,
         control=SocketConfig(f"ipc://{folder}/control"),
-    )  # fmt: skip
+    )
     return run(config, operate)
 
 
@@ -74,8 +74,8 @@ def run(config: HeadConfig, operate: Callable[[ControlClient, Session], None]) -
 
 
 def test_a_trial_that_nobody_holds_is_dark_and_its_lamps_are_the_former_ones(
-    head: HeadHandle, tmp_path: Path, stalls: Any  # noqa: F811
-) -> None:  # fmt: skip
+    head: HeadHandle, tmp_path: Path, stalls: Any
+) -> None:
     def operate(client: ControlClient, session: Session) -> None:
         before = dict(client.about()["lamps"])
         with pytest.raises(AnnulusError, match="leaves the window"):
@@ -106,8 +106,8 @@ def test_a_trial_that_nobody_holds_is_dark_and_its_lamps_are_the_former_ones(
 
 
 def test_a_paused_scan_goes_on_in_its_recording_and_every_label_is_right(
-    head: HeadHandle, tmp_path: Path, stalls: Any  # noqa: F811
-) -> None:  # fmt: skip
+    head: HeadHandle, tmp_path: Path, stalls: Any
+) -> None:
     def operate(client: ControlClient, session: Session) -> None:
         client.job(JobSheet(client="The Waterworks"))
         client.start()
@@ -149,7 +149,7 @@ def test_a_paused_scan_goes_on_in_its_recording_and_every_label_is_right(
     assert told[0]["client"] == "The Waterworks"
 
 
-def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_path: Path) -> None:  # noqa: F811
+def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_path: Path) -> None:
     def operate(client: ControlClient, session: Session) -> None:
         wrong: list[BaseException] = []
 
@@ -158,12 +158,23 @@ def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_p
             try:
                 with ControlClient(client.address, who=Operator(f"id{number}", f"operator {number}")) as mine:
                     asks: list[Callable[[], object]] = [
-                        mine.start, mine.start, lambda: mine.trial(2.0), mine.hold, mine.stop, mine.pause, mine.resume,
-                        mine.zero, mine.about, mine.state, lambda: mine.mark("x", 90.0, b"\xff\xd8\xff" + bytes(1000)),
-                        lambda: mine.command(take=rng.random() < 0.3), mine.release,
+                        mine.start,
+                        mine.start,
+                        lambda: mine.trial(2.0),
+                        mine.hold,
+                        mine.stop,
+                        mine.pause,
+                        mine.resume,
+                        mine.zero,
+                        mine.about,
+                        mine.state,
+                        lambda: mine.mark("x", 90.0, b"\xff\xd8\xff" + bytes(1000)),
+                        lambda: mine.command(take=rng.random() < 0.3),
+                        mine.release,
                         lambda: mine.lamps(commit=True, trial=rng.random() < 0.5, led_width_us=rng.choice((9e2, 5e4))),
-                        lambda: mine.job(JobSheet(client=str(rng.random()))), lambda: time.sleep(2 * rng.random()),
-                    ]  # fmt: skip
+                        lambda: mine.job(JobSheet(client=str(rng.random()))),
+                        lambda: time.sleep(2 * rng.random()),
+                    ]
                     while time.monotonic() < end:
                         with contextlib.suppress(AnnulusError):
                             rng.choice(asks)()
@@ -186,8 +197,8 @@ def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_p
 
 
 def test_lamps_that_nobody_confirms_are_refused_and_the_trial_of_them_ends_dark(
-    head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: F811
-) -> None:  # fmt: skip
+    head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def operate(client: ControlClient, session: Session) -> None:
         before = dict(client.about()["lamps"])
         client.trial(hold_s=20.0)
@@ -210,8 +221,8 @@ def test_lamps_that_nobody_confirms_are_refused_and_the_trial_of_them_ends_dark(
 
 
 def test_photos_as_fast_as_twenty_clients_can_send_cost_the_scan_nothing(
-    head: HeadHandle, tmp_path: Path, stalls: Any  # noqa: F811
-) -> None:  # fmt: skip
+    head: HeadHandle, tmp_path: Path, stalls: Any
+) -> None:
     photo, seconds, took_s = b"\xff\xd8\xff" + random.Random(3).randbytes(48_000), 5.0, 0.0
 
     def operate(client: ControlClient, session: Session) -> None:

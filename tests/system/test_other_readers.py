@@ -33,10 +33,21 @@ CALIBRATION = {
     "format": "annulus-calibration/2",
     "cameras": [
         {"id": 0, "model": "pinhole", "width": W, "height": H, "fx": 40.0, "fy": 40.0, "cx": 63.5, "cy": 47.5},
-        {"id": 3, "model": "fisheye", "width": W, "height": H, "fx": 40.0, "fy": 40.0, "cx": 63.5, "cy": 47.5,
-         "distortion": [0.01, 0, 0, 0], "rotation": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], "translation_mm": [0, 0, 50]},
+        {
+            "id": 3,
+            "model": "fisheye",
+            "width": W,
+            "height": H,
+            "fx": 40.0,
+            "fy": 40.0,
+            "cx": 63.5,
+            "cy": 47.5,
+            "distortion": [0.01, 0, 0, 0],
+            "rotation": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+            "translation_mm": [0, 0, 50],
+        },
     ],
-}  # fmt: skip
+}
 
 
 def profile(index: int, z_mm: float) -> Profile:
@@ -56,9 +67,17 @@ def write(path: Path, codec: Codec) -> Clock:
             for camera in (0, 3):
                 image = np.random.default_rng(index).integers(60, 70, (H, W), dtype=np.uint8)
                 label = {
-                    "index": index, "camera": camera, "label": "projector", "reason": "", "z_mm": 1000.0 + index,
-                    "roll_deg": 30.0, "encoding": "bayer_bggr8", "width": W, "height": H, "timestamp_ns": now_ns,
-                }  # fmt: skip
+                    "index": index,
+                    "camera": camera,
+                    "label": "projector",
+                    "reason": "",
+                    "z_mm": 1000.0 + index,
+                    "roll_deg": 30.0,
+                    "encoding": "bayer_bggr8",
+                    "width": W,
+                    "height": H,
+                    "timestamp_ns": now_ns,
+                }
                 assert writer.frame(label, image, now_ns + camera)
             writer.note("/profile", profile(index, 1000.0 + index).to_dict(), now_ns + PERIOD_NS // 2, index)
             writer.note("/event", {"kind": "disk", "text": f"event {index}"}, now_ns + PERIOD_NS)

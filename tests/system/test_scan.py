@@ -118,9 +118,7 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     moved = [f.z_mm for f in recording.frames if f.label is not Label.UNKNOWN]
     assert moved == sorted(moved) and moved[-1] > 20.0
     assert recording.calibration == load_calibration(tmp_path / "calibration.json").to_dict()
-    assert rig.states == [
-        State.POWERING, State.IDLE, State.ARMED, State.SCANNING, State.ENDING, State.OFF
-    ]  # fmt: skip
+    assert rig.states == [State.POWERING, State.IDLE, State.ARMED, State.SCANNING, State.ENDING, State.OFF]
     assert not any(report.telemetry["in_hand"].values()), "every frame is accounted for"
     # and the lamps are off, by the head's own pins and by its word
     assert head.counters()["lamps_on"] == []

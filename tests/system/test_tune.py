@@ -33,9 +33,12 @@ def test_the_true_window_is_found_and_lamps_come_back(tmp_path: Path) -> None:
         right, wrong = (f"readout_us = {true.readout_us + more:.1f}" for more in (0.0, WRONG_US))
         (tmp_path / "head.toml").write_text(told.replace(right, wrong))
         config = replace(
-            load_config(tmp_path / "head.toml"), calibration=None, autostart=False,
-            publish=SocketConfig(f"ipc://{tmp_path}/publish"), control=SocketConfig(f"ipc://{tmp_path}/control"),
-        )  # fmt: skip
+            load_config(tmp_path / "head.toml"),
+            calibration=None,
+            autostart=False,
+            publish=SocketConfig(f"ipc://{tmp_path}/publish"),
+            control=SocketConfig(f"ipc://{tmp_path}/control"),
+        )
         former, publish = config.lamps, f"ipc://{tmp_path}/publish"
 
         def operate(client: ControlClient, session: Session) -> None:

@@ -115,8 +115,9 @@ def test_a_service_is_ready_fed_and_stopped_and_its_port_is_its_own(head: HeadHa
         daemon = subprocess.Popen(
             [sys.executable, "-c", "from annulus.cli import main; main()", "daemon", "--config", str(toml)],
             env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"},
-            stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         try:
             said: list[str] = []
             while not any(line.startswith("STATUS=scanning, ") for line in said):

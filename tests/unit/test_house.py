@@ -35,6 +35,11 @@ def test_no_source_file_is_too_long_to_be_read_at_once() -> None:
     assert not long
 
 
+def test_the_formatter_has_the_last_word() -> None:
+    mark = "fmt: " + "skip"
+    assert not [str(path.relative_to(ROOT)) for path in sources() if mark in path.read_text(encoding="utf-8")]
+
+
 def test_every_room_says_what_it_is_for_and_stands_on_the_map() -> None:
     silent, unmapped = [], []
     for init in sorted(ROOMS.rglob("__init__.py")):

@@ -29,9 +29,7 @@ def test_a_command_line_says_names_and_files_and_the_later_one_wins(tmp_path: Pa
     file = tmp_path / "job.toml"
     file.write_text('client = "A"\nsdr = 17.6\ndate = 2026-11-25\npipe = 7\n')
     sheet = job_of([str(file), "client=B", "where=Elm Street = 4"])
-    assert sheet.to_dict() == {
-        "client": "B", "site": "Elm Street = 4", "pipe": "7", "sdr": 17.6, "date": "2026-11-25",
-    }  # fmt: skip
+    assert sheet.to_dict() == {"client": "B", "site": "Elm Street = 4", "pipe": "7", "sdr": 17.6, "date": "2026-11-25"}
     file.write_text('[job]\nclient = "A"\n')
     assert read_job(file) == JobSheet(client="A")
 
@@ -39,12 +37,16 @@ def test_a_command_line_says_names_and_files_and_the_later_one_wins(tmp_path: Pa
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        ("where", "expected NAME=TEXT or a file .toml"), ("where=", "expected NAME"), ("when=now", "a name one of"),
-        ("\x1b[2J=x", "expected NAME=TEXT"), ("sdr=thick", "job sdr is 'thick', expected a number in 3..100"),
-        ("date=today", "job date is 'today', expected a day, YYYY-MM-DD"), ("no-such.toml", "cannot be read"),
+        ("where", "expected NAME=TEXT or a file .toml"),
+        ("where=", "expected NAME"),
+        ("when=now", "a name one of"),
+        ("\x1b[2J=x", "expected NAME=TEXT"),
+        ("sdr=thick", "job sdr is 'thick', expected a number in 3..100"),
+        ("date=today", "job date is 'today', expected a day, YYYY-MM-DD"),
+        ("no-such.toml", "cannot be read"),
         ("site=" + 301 * "x", "job site must be a text of at most 300"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_on_the_command_line_is_one_line(wrong: str, match: str) -> None:
     with pytest.raises(AnnulusError, match=match) as told:
         job_of([wrong])
@@ -54,11 +56,14 @@ def test_what_is_wrong_on_the_command_line_is_one_line(wrong: str, match: str) -
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ('client = ["A"]', r"j.toml: \[job\] client must be a text"), ("client = ", "not TOML"),
-        ('"\x7f" = 1', "not TOML"), ('colour = "red"', "colour is not known, expected one of client, site"),
-        ("[job]\nsdr = true\n", "sdr is True, expected a number"), ('[job]\n[limits]\n', "job is not known"),
+        ('client = ["A"]', r"j.toml: \[job\] client must be a text"),
+        ("client = ", "not TOML"),
+        ('"\x7f" = 1', "not TOML"),
+        ('colour = "red"', "colour is not known, expected one of client, site"),
+        ("[job]\nsdr = true\n", "sdr is True, expected a number"),
+        ("[job]\n[limits]\n", "job is not known"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_file_is_one_line(text: str, match: str, tmp_path: Path) -> None:
     (tmp_path / "j.toml").write_text(text)
     with pytest.raises(AnnulusError, match=match) as told:
@@ -93,9 +98,12 @@ def test_a_recording_gives_back_job_times_and_provenance(tmp_path: Path) -> None
     }
     notes = [
         {"utc": "2026-11-25T06:00:00.000+00:00", "job": {"where": "Elm Street"}, "controller": None},
-        {"utc": "2026-11-25T06:10:00.000+00:00", "job": {"where": "Elm Street", "client": "A"},
-         "controller": {"serial": "E66", "version": "1.2.3"}},
-    ]  # fmt: skip
+        {
+            "utc": "2026-11-25T06:10:00.000+00:00",
+            "job": {"where": "Elm Street", "client": "A"},
+            "controller": {"serial": "E66", "version": "1.2.3"},
+        },
+    ]
     write(path, {"job": {"who": "J. Doe"}, "calibration_provenance": made}, notes)
     origin = origin_of(open_scan(path), job=JobSheet(client="B"))
     assert origin.job == JobSheet(client="B", site="Elm Street", operator="J. Doe")

@@ -9,14 +9,25 @@ from annulus.wall.defects import Defect, Kind
 
 def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> None:
     loss = {
-        "kind": "loss", "depth_mm": 0.55, "depth_k2_mm": 0.14, "z_mm": 140.0, "clock": "12:30", "length_mm": 4.0,
-        "arc_deg": 13.0, "hidden_mm": 0.0,
-    }  # fmt: skip
+        "kind": "loss",
+        "depth_mm": 0.55,
+        "depth_k2_mm": 0.14,
+        "z_mm": 140.0,
+        "clock": "12:30",
+        "length_mm": 4.0,
+        "arc_deg": 13.0,
+        "hidden_mm": 0.0,
+    }
     summary = {
-        "frames": {"projector": 24}, "diameter_mm": {"mean": None}, "points": 9, "features": [], "undecided": [],
-        "warnings": [], "not_seen": [],
+        "frames": {"projector": 24},
+        "diameter_mm": {"mean": None},
+        "points": 9,
+        "features": [],
+        "undecided": [],
+        "warnings": [],
+        "not_seen": [],
         "defects": [{**loss, "floor_seen": False}, {**loss, "floor_seen": True}],
-    }  # fmt: skip
+    }
     _print_summary(summary, tmp_path)
     said = capsys.readouterr().out
     assert "loss       ≥ 0.55 ± 0.14 mm at 0.140 m, clock 12:30" in said

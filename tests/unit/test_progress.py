@@ -16,8 +16,5 @@ def test_a_program_hears_of_progress_a_line_at_a_time_and_not_of_every_step(caps
     said = [json.loads(line) for line in error.splitlines()]
     assert out == ""
     assert said[0] == {"what": "frames", "done": 0, "total": 1000}
-    assert said[-2:] == [
-        {"what": "frames", "done": 1000, "total": 1000},
-        {"what": "texture", "done": 3, "total": 3},
-    ]
+    assert said[-2:] == [{"what": "frames", "done": 1000, "total": 1000}, {"what": "texture", "done": 3, "total": 3}]
     assert len(said) < 20

@@ -30,8 +30,14 @@ def test_what_is_printed_is_escaped_and_what_draws_is_not(capsys: pytest.Capture
     assert "ä ± µm" in error and error.endswith("\x1b[1mbar") and shows(error.removesuffix("\x1b[1mbar"))
 
 
-@pytest.mark.parametrize("arguments", [["reconstruct", "{}", "-o", "{}-out"], ["daemon", "--config", "{}"],
-                                       ["calibrate", "camera", "{}", "-o", "{}.json"]])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["reconstruct", "{}", "-o", "{}-out"],
+        ["daemon", "--config", "{}"],
+        ["calibrate", "camera", "{}", "-o", "{}.json"],
+    ],
+)
 def test_a_hostile_name_is_shown_as_it_is_written(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,10 +61,13 @@ def test_what_no_program_writes_is_one_line_and_soon(parse: Callable[[bytes], An
 @given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(), st.lists, max_leaves=20))
 def test_every_check_answers_with_a_value_or_one_line(value: Any) -> None:
     for check in (
-        lambda: untrusted.number(value, "x"), lambda: untrusted.within(value, "x", 0, 1),
-        lambda: untrusted.whole(value, "x", 0, 9), lambda: untrusted.numbers(value, "x", (1, 2), 5.0),
-        lambda: untrusted.text(value, "x", 5), lambda: untrusted.mapping(value, "x"),
-    ):  # fmt: skip
+        lambda: untrusted.number(value, "x"),
+        lambda: untrusted.within(value, "x", 0, 1),
+        lambda: untrusted.whole(value, "x", 0, 9),
+        lambda: untrusted.numbers(value, "x", (1, 2), 5.0),
+        lambda: untrusted.text(value, "x", 5),
+        lambda: untrusted.mapping(value, "x"),
+    ):
         try:
             check()
         except ValueError as error:

@@ -5,24 +5,8 @@ and none refused beyond it.
 from bisect import bisect_left, bisect_right
 from itertools import chain
 
-from annulus.controller import (
-    LAMP_DUTY_MAX_PERMILLE,
-    LAMP_WIDTH_MAX_TICKS,
-    PIN_LED,
-    PIN_PROJECTOR,
-)
-from annulus.link.messages import (
-    Arm,
-    ArmFlag,
-    Commit,
-    Configured,
-    Edge,
-    Event,
-    Fault,
-    FaultCode,
-    Stage,
-    StatusReply,
-)
+from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, PIN_LED, PIN_PROJECTOR
+from annulus.link.messages import Arm, ArmFlag, Commit, Configured, Edge, Event, Fault, FaultCode, Stage, StatusReply
 from annulus.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import MS, Board, insist
 from tools.attack.kept import Asked, Kept, Told
@@ -118,8 +102,11 @@ class Edges:
 
     def _cuts(self, kept: Kept, told: list[Told]) -> list[tuple[int, int]]:
         """What may end a flash: from when to when it may have acted."""
-        orders = [(a.sent, a.answered) for a in kept.asked if isinstance(a.command, Arm)
-                  and not a.command.outputs & ArmFlag.LAMPS]  # fmt: skip
+        orders = [
+            (a.sent, a.answered)
+            for a in kept.asked
+            if isinstance(a.command, Arm) and not a.command.outputs & ArmFlag.LAMPS
+        ]
         slow = sum(end - begin for begin, end in kept.stalls)
         pulled = [(tick, tick + 5 * MS) for tick in kept.unplugged]
         # What latched a moment before the plug was pulled is told to nobody.
@@ -176,8 +163,12 @@ class Edges:
         of_events = list(chain(*lit.values()))
         starts = {rise for _, rise, _ in of_events}
         before = max(config.frame_period for config in self.configs(kept))
-        untold = [(rise - before, rise, fall) for pin in LAMP_PINS.values() for rise, fall in kept.pulses.get(pin, ())
-                  if rise < tick and rise not in starts]  # fmt: skip
+        untold = [
+            (rise - before, rise, fall)
+            for pin in LAMP_PINS.values()
+            for rise, fall in kept.pulses.get(pin, ())
+            if rise < tick and rise not in starts
+        ]
         since = configured + self.board.round_max  # an edge within the round in which it changed is of before
         return any(fall + (fall - rise) > earliest and edge <= since for edge, rise, fall in of_events + untold)
 

@@ -77,8 +77,10 @@ def says(kept: Kept, told: list[Told], scene: Scene) -> None:
             insist(says_open or not is_open(kept, scene, asked.sent, asked.answered), "status says closed", asked.sent)
     for clear in clears:
         before = [what for item, what in faults if item.tick < clear.sent - MS]
-        taken = any(accepted(c) and before and c.answered > faults[len(before) - 1][0].tick and c.sent < clear.sent
-                    for c in clears)  # fmt: skip
+        taken = any(
+            accepted(c) and before and c.answered > faults[len(before) - 1][0].tick and c.sent < clear.sent
+            for c in clears
+        )
         is_why = bool(before) and before[-1] in (FaultCode.INTERLOCK, FaultCode.INTERLOCK_DISAGREES)
         if is_why and not taken and is_open(kept, scene, clear.sent, clear.answered) and clear.reply:
             insist(clear.reply.status == StatusCode.UNSAFE, "clear taken with the interlock open", clear.sent)

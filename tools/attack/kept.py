@@ -2,12 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from annulus.controller import (
-    CAMERA_TRIGGER_MIN_TICKS,
-    PIN_CAMERA_TRIGGER,
-    PIN_INTERLOCK,
-    PIN_INTERLOCK_ANTIVALENT,
-)
+from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, PIN_CAMERA_TRIGGER, PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT
 from annulus.link.messages import (
     CameraTrigger,
     Command,

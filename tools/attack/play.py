@@ -400,8 +400,4 @@ class Player:
 
 def dimmed(config: Stage) -> Stage:
     most = (config.frame_period - config.frame_period * config.tolerance // 1000) // 2
-    return replace(
-        config,
-        projector_width=min(most, config.projector_width),
-        led_width=min(most, config.led_width),
-    )
+    return replace(config, projector_width=min(most, config.projector_width), led_width=min(most, config.led_width))

@@ -52,8 +52,24 @@ SCENES_A_BOARD = 20
 INTERLOCK = (PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT)
 CONTACTS = (*INTERLOCK, PIN_END_LOW, PIN_END_HIGH)
 BOTH = LAMPS | MICROWAVE
-ENDS = ("interlock", "bounce", "glimpse", "disarm", "lamps only", "stop train", "stop move", "switch", "stall",
-        "commit", "preamble", "measure", "unplug", "replug", "rewire", "late clear")  # fmt: skip
+ENDS = (
+    "interlock",
+    "bounce",
+    "glimpse",
+    "disarm",
+    "lamps only",
+    "stop train",
+    "stop move",
+    "switch",
+    "stall",
+    "commit",
+    "preamble",
+    "measure",
+    "unplug",
+    "replug",
+    "rewire",
+    "late clear",
+)
 KINDS = ("broken off", "early", "damaged", "foreign", "whole")  # of updates
 NEAR = (0, 1, 50, 10 * US, 100 * US, 500 * US, 2 * MS)  # between two that meet
 

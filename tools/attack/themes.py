@@ -12,17 +12,7 @@ from annulus.controller import (
     TURNTABLE_PERIOD_MIN_TICKS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
-from annulus.link.messages import (
-    Arm,
-    ArmFlag,
-    Burst,
-    BurstCode,
-    Clear,
-    Move,
-    Turntable,
-    TurntableFlag,
-    TurntableStop,
-)
+from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, Clear, Move, Turntable, TurntableFlag, TurntableStop
 from tools.attack.boards import MS, Edge
 
 US = TICKS_PER_US

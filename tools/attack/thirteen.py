@@ -201,8 +201,11 @@ def runaway_stage(place: Place) -> Measured:
     after = ran[-1][0] - opened if ran else 0
     if not ran:
         return "refused", True
-    return ("still running 1 s after the interlock opened" if after > 990 * MS else
-            f"stands {max(0, after) / MS:.1f} ms after the interlock opened"), after < 500 * MS  # fmt: skip
+    return (
+        "still running 1 s after the interlock opened"
+        if after > 990 * MS
+        else f"stands {max(0, after) / MS:.1f} ms after the interlock opened"
+    ), after < 500 * MS
 
 
 def two_rereads(place: Place) -> Measured:

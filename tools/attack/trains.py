@@ -61,8 +61,11 @@ def chips_of(kept: Kept, burst: Asked) -> str:
     assert isinstance(burst.command, Burst)
     if burst.command.code != BurstCode.UPLOADED:
         return list(CODES.values())[burst.command.code - 1]
-    patterns = [a.command for a in kept.asked[: kept.asked.index(burst)] if isinstance(a.command, Pattern)
-                and a.reply and a.reply.status == StatusCode.OK]  # fmt: skip
+    patterns = [
+        a.command
+        for a in kept.asked[: kept.asked.index(burst)]
+        if isinstance(a.command, Pattern) and a.reply and a.reply.status == StatusCode.OK
+    ]
     bits = int.from_bytes(patterns[-1].chips, "little")
     return "".join("1" if bits >> i & 1 else "0" for i in range(patterns[-1].length))
 

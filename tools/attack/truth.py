@@ -139,10 +139,7 @@ class Truth:
                 continue  # an older controller need not know it
             excused = kept.boots or kept.unplugged or asked.line in kept.noise
             held = any(self._may_be_cut(kept, asked, end) for _, end in kept.stalls)
-            insist(
-                bool(asked.reply) or bool(excused) or held,
-                f"no answer to {asked.command} sent at {asked.sent}",
-            )
+            insist(bool(asked.reply) or bool(excused) or held, f"no answer to {asked.command} sent at {asked.sent}")
 
     @staticmethod
     def _may_be_cut(kept: Kept, asked: Asked, end: int) -> bool:
@@ -184,8 +181,11 @@ class Truth:
     # ---- when something may be lit ----
 
     def _armed(self, kept: Kept, told: list[Told]) -> None:
-        arms = [(asked, asked.command.outputs if isinstance(asked.command, Arm) else ArmFlag(0))
-                for asked in kept.asked if isinstance(asked.command, Arm | Reset)]  # fmt: skip
+        arms = [
+            (asked, asked.command.outputs if isinstance(asked.command, Arm) else ArmFlag(0))
+            for asked in kept.asked
+            if isinstance(asked.command, Arm | Reset)
+        ]
         ends = [(item.tick, item.tick) for item in told if products_truth.is_latching(item.event)]
 
         def permitted(tick: int, output: ArmFlag) -> bool:

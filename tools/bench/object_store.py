@@ -27,9 +27,11 @@ from typing import Any
 
 BUCKET = "scans"
 _NAMED = {
-    "AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing", "AWS_DEFAULT_REGION": "us-east-1",
+    "AWS_ACCESS_KEY_ID": "testing",
+    "AWS_SECRET_ACCESS_KEY": "testing",
+    "AWS_DEFAULT_REGION": "us-east-1",
     "AWS_EC2_METADATA_DISABLED": "true",
-}  # fmt: skip
+}
 _CODES = {"500": "InternalError", "503": "SlowDown", "403": "AccessDenied"}
 _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 

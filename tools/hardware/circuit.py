@@ -111,12 +111,17 @@ def _microwave(board: _Board) -> None:
 
 def _interlock(board: _Board) -> None:
     relay = {
-        "A1": "chain", "A2": "chain_0v",
-        "_13": "source_enable_1", "_14": "source_enable_2",  # a
-        "_23": "microwave_5v", "_24": "source_trigger",  # b
-        "_33": "interlock_contact", "_34": "gnd",  # c
-        "_43": "antivalent_contact", "_44": "3v3",  # d
-    }  # fmt: skip
+        "A1": "chain",
+        "A2": "chain_0v",
+        "_13": "source_enable_1",
+        "_14": "source_enable_2",  # a
+        "_23": "microwave_5v",
+        "_24": "source_trigger",  # b
+        "_33": "interlock_contact",
+        "_34": "gnd",  # c
+        "_43": "antivalent_contact",
+        "_44": "3v3",  # d
+    }
     board.part("SR4D4024", "24 V, forced contacts", **relay)
     board.part("Diode", "1N5819", K="chain", A="chain_0v")
     board.part("Connector2", "interlock chain 24 V", _1="chain", _2="chain_0v")
@@ -127,9 +132,13 @@ def _interlock(board: _Board) -> None:
 
 def _sync(board: _Board) -> None:
     board.part(
-        "Connector4", "camera: 1.8 V, sync, trigger, ground",
-        _1="camera_1v8", _2="camera_sync", _3="camera_xtr", _4="gnd",
-    )  # fmt: skip
+        "Connector4",
+        "camera: 1.8 V, sync, trigger, ground",
+        _1="camera_1v8",
+        _2="camera_sync",
+        _3="camera_xtr",
+        _4="gnd",
+    )
     board.two("C", "100n", "camera_1v8", "gnd")
     board.two("C", "100n", "3v3", "gnd")
     board.part(
@@ -148,22 +157,52 @@ def _sync(board: _Board) -> None:
 
 def _odometer(board: _Board) -> None:
     board.part(
-        "Connector6", "encoder: 5 V, ground, A, /A, B, /B",
-        _1="5v", _2="gnd", _3="encoder_a", _4="encoder_an", _5="encoder_b", _6="encoder_bn",
-    )  # fmt: skip
+        "Connector6",
+        "encoder: 5 V, ground, A, /A, B, /B",
+        _1="5v",
+        _2="gnd",
+        _3="encoder_a",
+        _4="encoder_an",
+        _5="encoder_b",
+        _6="encoder_bn",
+    )
     board.two("R", "120", "encoder_a", "encoder_an")
     board.two("R", "120", "encoder_b", "encoder_bn")
     board.chip(
-        "AM26LV32", "3v3", A1="encoder_a", B1="encoder_an", Y1="odometer_a", A2="encoder_b", B2="encoder_bn",
-        Y2="odometer_b", G="3v3", GN="gnd", A3="gnd", B3="3v3", A4="gnd", B4="3v3",
-    )  # fmt: skip
+        "AM26LV32",
+        "3v3",
+        A1="encoder_a",
+        B1="encoder_an",
+        Y1="odometer_a",
+        A2="encoder_b",
+        B2="encoder_bn",
+        Y2="odometer_b",
+        G="3v3",
+        GN="gnd",
+        A3="gnd",
+        B3="3v3",
+        A4="gnd",
+        B4="3v3",
+    )
 
 
 def _turntable(board: _Board) -> None:
     board.chip(
-        "74HCT125", "5v", A1="microwave_limited", Y1="microwave_5v", A2="step", Y2="step_5v", A3="direction",
-        Y3="direction_5v", A4="enable", Y4="enable_5v", OE1="gnd", OE2="gnd", OE3="gnd", OE4="gnd",
-    )  # fmt: skip
+        "74HCT125",
+        "5v",
+        A1="microwave_limited",
+        Y1="microwave_5v",
+        A2="step",
+        Y2="step_5v",
+        A3="direction",
+        Y3="direction_5v",
+        A4="enable",
+        Y4="enable_5v",
+        OE1="gnd",
+        OE2="gnd",
+        OE3="gnd",
+        OE4="gnd",
+    )
     board.two("R", "10k", "step", "gnd")
     board.two("R", "10k", "direction", "gnd")
     board.two("R", "10k", "enable", "3v3")

@@ -29,7 +29,7 @@ TEXTS = {
             "gemessen bei mm, von, am:",
         ),
     ),
-}  # fmt: skip
+}
 
 
 def _wrapped(text: str, size: int = 62) -> list[str]:

@@ -55,7 +55,9 @@ KINDS: dict[str, tuple[str, str, str]] = {
     "UCC27517": ("U", "Package_TO_SOT_SMD:SOT-23-5", "1:VDD:w 2:GND:w 3:INP:i 4:INN:i 5:OUT:o"),
     "IRLZ44N": ("Q", "Package_TO_SOT_THT:TO-220-3_Vertical", "1:G:i 2:D:p 3:S:p"),
     "74LVC1G123": (
-        "U", "Package_SO:VSSOP-8_2.3x2mm_P0.5mm", "1:AN:i 2:B:i 3:CLR:i 4:GND:w 5:Q:o 6:CX:p 7:RX:p 8:VCC:w",
+        "U",
+        "Package_SO:VSSOP-8_2.3x2mm_P0.5mm",
+        "1:AN:i 2:B:i 3:CLR:i 4:GND:w 5:Q:o 6:CX:p 7:RX:p 8:VCC:w",
     ),
     "74LVC1G08": ("U", _SMALL, "1:A:i 2:B:i 3:GND:w 4:Y:o 5:VCC:w"),
     "74LVC1G17": ("U", _SMALL, "1:NC:n 2:A:i 3:GND:w 4:Y:o 5:VCC:w"),
@@ -63,7 +65,7 @@ KINDS: dict[str, tuple[str, str, str]] = {
     "74HCT125": ("U", "Package_SO:SOIC-14_3.9x8.7mm_P1.27mm", _BUFFER),
     "AM26LV32": ("U", "Package_SO:SOIC-16_3.9x9.9mm_P1.27mm", _RECEIVER),
     "SR4D4024": ("K", "Relay_THT:Relay_SPST-NO_x4", _RELAY),
-}  # fmt: skip
+}
 
 
 @cache

@@ -60,8 +60,11 @@ def page() -> str:
             out.append(f"\n### {name}\n")
         out.append(f"{_text(command.help)}\n")
         if is_group(command):
-            rows = [f"| [`{name} {verb}`](#{_anchor(f'{name} {verb}')}) | {_cell(_first(below.help))} |"
-                    for verb, below in command.commands.items() if not below.hidden]  # fmt: skip
+            rows = [
+                f"| [`{name} {verb}`](#{_anchor(f'{name} {verb}')}) | {_cell(_first(below.help))} |"
+                for verb, below in command.commands.items()
+                if not below.hidden
+            ]
             out.append("\n".join(["| command | |", "|---|---|", *rows]) + "\n")
             continue
         lines, words = example(command)

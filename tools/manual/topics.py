@@ -142,9 +142,12 @@ def page() -> str:
             out.append(f"\nBytes: {BYTES[topic]}.")
         out.append("")
     out.append("\n## Requests\n")
-    out.append(f"To `[control] address`, ROUTER: a msgpack map of at most {REQUEST_MAX} bytes a request, one an answer "
-               "(`ok`, `state`, `health`, `error`). `do` is one of " + ", ".join(f"`{do.value}`" for do in Do)
-               + f"; a `mark` has a `text` of at most {TEXT_MAX} characters and may have `clock_deg`.\n")  # fmt: skip
+    out.append(
+        f"To `[control] address`, ROUTER: a msgpack map of at most {REQUEST_MAX} bytes a request, one an answer "
+        "(`ok`, `state`, `health`, `error`). `do` is one of "
+        + ", ".join(f"`{do.value}`" for do in Do)
+        + f"; a `mark` has a `text` of at most {TEXT_MAX} characters and may have `clock_deg`.\n"
+    )
     out.append("`state` in every answer is one of " + ", ".join(f"`{state.value}`" for state in State) + ".\n")
     return "\n".join(out)
 

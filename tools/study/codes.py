@@ -23,9 +23,14 @@ def template(method: Method = "minimax") -> Template:
 def transducer_template() -> Template:
     """The same behind a transducer of 2.25 MHz and 70 %: five taps a chip, two chips of guard, a floor of 7.6 dB."""
     return design(
-        pattern("mpsl25-stuffed"), TAPS, transducer=Transducer.band(2.25e6, 0.7, 50e6), samples_per_chip=5,
-        chip_s=CHIP_S, guard_chips=2.0, gain_floor_db=7.6,
-    )  # fmt: skip
+        pattern("mpsl25-stuffed"),
+        TAPS,
+        transducer=Transducer.band(2.25e6, 0.7, 50e6),
+        samples_per_chip=5,
+        chip_s=CHIP_S,
+        guard_chips=2.0,
+        gain_floor_db=7.6,
+    )
 
 
 def stuffed_mpsl25() -> Figure:
@@ -33,10 +38,13 @@ def stuffed_mpsl25() -> Figure:
     chips, found = pattern("mpsl25-stuffed"), template()
     squares = template("least-squares")
     numbers = {
-        "psr": found.psr, "gain_db": found.gain_db, "ceiling_db": found.ceiling_db,
-        "psr_least_squares": squares.psr, "gain_least_squares_db": squares.gain_db,
+        "psr": found.psr,
+        "gain_db": found.gain_db,
+        "ceiling_db": found.ceiling_db,
+        "psr_least_squares": squares.psr,
+        "gain_least_squares_db": squares.gain_db,
         "psr_matched": design(chips, TAPS, "matched").psr,
-    }  # fmt: skip
+    }
 
     def draw(figure: Any) -> None:
         left, middle, right = figure.subplots(1, 3)
@@ -48,9 +56,10 @@ def stuffed_mpsl25() -> Figure:
         at = (np.arange(len(found.output)) - found.peak) * CHIP_S * 1e6
         right.plot(at, found.output, lw=0.9)
         right.set(
-            xlabel="time from the peak, us", ylabel="filtered, of the peak",
+            xlabel="time from the peak, us",
+            ylabel="filtered, of the peak",
             title=f"c) filtered: highest sidelobe 1/{found.psr:.1f}",
-        )  # fmt: skip
+        )
 
     return Figure(numbers, draw, (12, 3.6))
 
@@ -71,9 +80,10 @@ def barker13() -> Figure:
             at = (np.arange(len(line)) - len(line) // 2) * CHIP_S * 1e6
             answer.plot(at, line / line.max(), lw=0.9)
             answer.set(
-                xlabel="time from the peak, us", ylabel="of the peak",
+                xlabel="time from the peak, us",
+                ylabel="of the peak",
                 title=f"{'bd'[n]}) matched filter: 1/{peak_over_rest(line):.1f}",
-            )  # fmt: skip
+            )
 
     return Figure(numbers, draw, (14, 3.4))
 
@@ -85,9 +95,11 @@ def manchester_pair() -> Figure:
     middle = len(total) // 2
     beyond = np.delete(total, [middle - 1, middle, middle + 1])
     numbers = {
-        "peak": float(total[middle]), "before": float(total[middle - 1]), "after": float(total[middle + 1]),
+        "peak": float(total[middle]),
+        "before": float(total[middle - 1]),
+        "after": float(total[middle + 1]),
         "elsewhere": float(np.abs(beyond).max()),
-    }  # fmt: skip
+    }
 
     def draw(figure: Any) -> None:
         first, second, right = figure.subplots(1, 3)

@@ -40,9 +40,13 @@ def show_map(
     """An image [y, x] with mm axes, y downwards as in the solver."""
     dx, dy = 0.5 * float(x_mm[1] - x_mm[0]), 0.5 * float(y_mm[1] - y_mm[0])
     shown = axes.imshow(
-        values, extent=(x_mm[0] - dx, x_mm[-1] + dx, y_mm[-1] + dy, y_mm[0] - dy), cmap=colours,
-        vmin=limits[0], vmax=limits[1], interpolation="nearest",
-    )  # fmt: skip
+        values,
+        extent=(x_mm[0] - dx, x_mm[-1] + dx, y_mm[-1] + dy, y_mm[0] - dy),
+        cmap=colours,
+        vmin=limits[0],
+        vmax=limits[1],
+        interpolation="nearest",
+    )
     axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
     axes.set_title(title, fontsize=9)
     return shown

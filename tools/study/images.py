@@ -181,18 +181,23 @@ def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> F
     scale = float((alone[inside] @ truth[inside]) / (alone[inside] @ alone[inside]))
     error = float(np.mean((scale * alone[inside] - truth[inside]) ** 2))
     numbers = {
-        "psnr_db": psnr, "correlation": correlation, "psnr_same_grid_db": psnr_own,
-        "correlation_same_grid": correlation_own, "psnr_points_db": 10 * math.log10(float(truth.max()) ** 2 / error),
+        "psnr_db": psnr,
+        "correlation": correlation,
+        "psnr_same_grid_db": psnr_own,
+        "correlation_same_grid": correlation_own,
+        "psnr_points_db": 10 * math.log10(float(truth.max()) ** 2 / error),
         "correlation_points": likeness(alone[inside], truth[inside]),
-    }  # fmt: skip
+    }
 
     def paint(figure: Any) -> None:
         axes = figure.subplots(1, 4)
         images: list[NDArray[np.floating]] = [truth, scale * alone, whole.values]
         names = (
-            "a) sample and 50 positions", f"b) from 50 points: {numbers['psnr_points_db']:.1f} dB",
-            f"c) interpolated: {psnr:.1f} dB", "d) along the dotted line",
-        )  # fmt: skip
+            "a) sample and 50 positions",
+            f"b) from 50 points: {numbers['psnr_points_db']:.1f} dB",
+            f"c) interpolated: {psnr:.1f} dB",
+            "d) along the dotted line",
+        )
         for one, image, name in zip(axes, images, names, strict=False):
             show_map(one, np.where(inside, image, np.nan), whole.x_mm, whole.y_mm, name, (-0.1, 1.1))
             one.axhline(-1.0, color="tab:orange", lw=0.8, ls=":")

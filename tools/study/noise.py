@@ -231,10 +231,17 @@ def compare(table: str, how: How = "minimax", setup: Setup = SETUP, seeds: int =
         return 10 * math.log10((square + quiet**2) / (square / 10 ** (gain_db / 10) + quiet**2))
 
     return Comparison(
-        setting, shot_noise, single_db, coded_db, mean_db([fit * decoded - truth]),
-        mean_db([fit * one for one in noises[1]]) - mean_db(noises[0]), coded_db - single_db, clean_db,
-        against_reference(found.gain_db), against_reference(found.ceiling_db),
-    )  # fmt: skip
+        setting,
+        shot_noise,
+        single_db,
+        coded_db,
+        mean_db([fit * decoded - truth]),
+        mean_db([fit * one for one in noises[1]]) - mean_db(noises[0]),
+        coded_db - single_db,
+        clean_db,
+        against_reference(found.gain_db),
+        against_reference(found.ceiling_db),
+    )
 
 
 def half_power_db() -> float:
@@ -251,12 +258,17 @@ def table_figure(table: str) -> Figure:
     single, coded = (condition("core", code) for code in (SINGLE, CODED))
     noise = found.shot_noise * found.setting.noise
     numbers = {
-        "psnr_single_db": found.single_db, "psnr_coded_db": found.coded_db, "gain_db": found.gain_db,
-        "gain_clean_reference_db": found.gain_clean_db, "gain_expected_db": found.expected_db,
-        "gain_any_filter_db": found.most_db, "gain_least_squares_db": squares.gain_db,
+        "psnr_single_db": found.single_db,
+        "psnr_coded_db": found.coded_db,
+        "gain_db": found.gain_db,
+        "gain_clean_reference_db": found.gain_clean_db,
+        "gain_expected_db": found.expected_db,
+        "gain_any_filter_db": found.most_db,
+        "gain_least_squares_db": squares.gain_db,
         "gain_as_in_the_source_db": theirs.gain_db,
-        "gain_source_db": found.source_gain_db, "shot_noise": found.shot_noise,
-    }  # fmt: skip
+        "gain_source_db": found.source_gain_db,
+        "shot_noise": found.shot_noise,
+    }
 
     def draw(figure: Any) -> None:
         axes = figure.subplots(1, 4)
@@ -266,12 +278,11 @@ def table_figure(table: str) -> Figure:
         setting = found.setting
         names = (
             f"a) single, {setting.averages} averages, {setting.power_kw:g} kW: {found.single_db:.1f} dB",
-            f"b) MPSL25: {found.coded_db:.1f} dB", f"c) reference: single, {REFERENCE_AVERAGES} averages, 3 kW",
-        )  # fmt: skip
+            f"b) MPSL25: {found.coded_db:.1f} dB",
+            f"c) reference: single, {REFERENCE_AVERAGES} averages, 3 kW",
+        )
         for one, image, name in zip(axes, images, names, strict=False):
-            shown = show_map(
-                one, image / most, single.clean.x_mm, single.clean.y_mm, name, (-1, 1), "RdBu_r"
-            )  # fmt: skip
+            shown = show_map(one, image / most, single.clean.x_mm, single.clean.y_mm, name, (-1, 1), "RdBu_r")
         figure.colorbar(shown, ax=axes[2], shrink=0.8)
         for n, (name, colour) in ((0, ("single", "0.6")), (2, ("reference", "tab:blue")), (1, ("MPSL25", "tab:red"))):
             line = profile(images[n], single.clean.y_mm, 0.0, 0) / most
@@ -363,11 +374,12 @@ def coded_trace() -> Figure:
     """Fig. 8.8: MPSL25 as heard, and behind its filter at 2048 and at 2 averages."""
     plain = snr_db(SINGLE, None, 2)
     numbers = {
-        "snr_2_db": snr_db(CODED, None, 2), "gain_db": snr_db(CODED, None, 2) - plain,
+        "snr_2_db": snr_db(CODED, None, 2),
+        "gain_db": snr_db(CODED, None, 2) - plain,
         "gain_same_band_db": snr_db(CODED, "minimax", 2) - snr_db(SINGLE, "minimax", 2),
         "gain_held_template_db": snr_db(CODED, "as in the source", 2) - plain,
         "gain_theory_db": template().gain_db,
-    }  # fmt: skip
+    }
     raw = one_shot("mpsl25-stuffed", 2048, 9)
     records = [raw, *(compressed(one_shot("mpsl25-stuffed", averages, 9)) for averages in (2048, 2))]
 
@@ -394,9 +406,7 @@ def pair_trace() -> Figure:
         "likeness_to_single_pulse": float(np.corrcoef(both, alone)[0, 1]),
         "shots": 2.0,
     }
-    records = [
-        one_shot("manchester1", 2048, 3), one_shot("manchester2", 2048, 4), pair_of(2048, 5), pair_of(2, 6),
-    ]  # fmt: skip
+    records = [one_shot("manchester1", 2048, 3), one_shot("manchester2", 2048, 4), pair_of(2048, 5), pair_of(2, 6)]
 
     def draw(figure: Any) -> None:
         names = ("a) first code, 2048 averages", "b) second code, 2048 averages", "c) summed, 2048", "d) summed, 2")

@@ -100,9 +100,14 @@ def reference() -> Figure:
         show_sample(left, "wires", "a) agar with two wires of 0.6 mm")
         most = float(np.nanmax(np.abs(single.clean.values)))
         shown = show_map(
-            right, values / most, single.clean.x_mm, single.clean.y_mm,
-            "b) one pulse of 0.5 us, 3 kW, little noise", (-1, 1), "RdBu_r",
-        )  # fmt: skip
+            right,
+            values / most,
+            single.clean.x_mm,
+            single.clean.y_mm,
+            "b) one pulse of 0.5 us, 3 kW, little noise",
+            (-1, 1),
+            "RdBu_r",
+        )
         figure.colorbar(shown, ax=right, shrink=0.8, label="pressure, of the largest")
 
     return Figure(numbers, draw, (9.5, 4.2))

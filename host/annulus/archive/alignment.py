@@ -107,10 +107,17 @@ def align(
         return laid
     rows = len(laid.z_mm)
     return Alignment(
-        laid.z_mm[::-1].copy(), laid.roll_deg[::-1].copy(), laid.sigma_z_mm[::-1].copy(),
-        laid.sigma_roll_deg[::-1].copy(), tuple(sorted(rows - row for row in laid.slips)), laid.scale, True, laid.sure,
-        laid.noise_mm, laid.found,
-    )  # fmt: skip
+        laid.z_mm[::-1].copy(),
+        laid.roll_deg[::-1].copy(),
+        laid.sigma_z_mm[::-1].copy(),
+        laid.sigma_roll_deg[::-1].copy(),
+        tuple(sorted(rows - row for row in laid.slips)),
+        laid.scale,
+        True,
+        laid.sure,
+        laid.noise_mm,
+        laid.found,
+    )
 
 
 def _strangers(first: WallMap, second: WallMap) -> str:
@@ -124,9 +131,14 @@ class _Laying:
     """The state of one alignment while it is refined: places and rolls of all rows of the second."""
 
     def __init__(
-        self, first: WallMap, second: WallMap, mine: Detail, theirs: Detail, found: list[Stretch],
+        self,
+        first: WallMap,
+        second: WallMap,
+        mine: Detail,
+        theirs: Detail,
+        found: list[Stretch],
         progress: Callable[[str, int, int], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.first, self.second, self.mine, self.theirs = first, second, mine, theirs
         self.progress = progress
         self.calm: Float32Array = believed(smoothed(mine.own, (CALM, CALM)), mine.own, ALIKE_CELLS)
@@ -343,8 +355,12 @@ class _Laying:
         self.oval_mm = max(robust_sigma(np.stack([off.real, off.imag])), OVAL_LEAST_MM)
         off = off / np.maximum(np.abs(off) / (3 * self.oval_mm), 1.0)
         most = min(len(off) // 2, round(OVAL_FAR_MM / self.second.step_mm))
-        alike = np.array([np.mean(off[k:].real * off[: len(off) - k].real + off[k:].imag * off[: len(off) - k].imag)
-                          for k in range(most)])  # fmt: skip
+        alike = np.array(
+            [
+                np.mean(off[k:].real * off[: len(off) - k].real + off[k:].imag * off[: len(off) - k].imag)
+                for k in range(most)
+            ]
+        )
         fallen = np.flatnonzero(alike <= 0)
         upto = int(fallen[0]) if len(fallen) else most
         whole = self.second.step_mm * (2 * float(alike[:upto].sum()) / max(float(alike[0]), 1e-12) - 1)

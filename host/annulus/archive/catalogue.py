@@ -49,9 +49,12 @@ class Refused:
 
 
 def add(
-    archive: Path, results: Sequence[Path], job: JobSheet | None = None, replaces: str | None = None,
+    archive: Path,
+    results: Sequence[Path],
+    job: JobSheet | None = None,
+    replaces: str | None = None,
     told: Told = lambda what, done, total: None,
-) -> list[Added | Refused]:  # fmt: skip
+) -> list[Added | Refused]:
     """Folders of results into the catalogue, which is made where there is none; one that cannot be read does not keep
     out the others. job: goes over what each says. replaces: the survey in whose place the only one counts.
 

@@ -76,9 +76,9 @@ def _blocks(result: Any) -> Iterator[bytes]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that rows are copied once more
         reader = getattr(result, named)(ROWS_AT_ONCE)
-    yield _stream(pyarrow, reader.schema.empty_table().to_batches() or [
-        pyarrow.RecordBatch.from_pylist([], schema=reader.schema)
-    ])  # fmt: skip
+    yield _stream(
+        pyarrow, reader.schema.empty_table().to_batches() or [pyarrow.RecordBatch.from_pylist([], schema=reader.schema)]
+    )
     for batch in reader:
         waiting = [batch]
         while waiting:

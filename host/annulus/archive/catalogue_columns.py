@@ -36,82 +36,129 @@ def _key(of: str) -> list[Column]:
 SURVEYS: Sequence[Column] = [
     *_key("itself"),
     *_columns(
-        "text", site="where", client="who asked for it", operator="who scanned", launch="where the head went in",
-        receive="where it came out", direction="of the scan", material="of the pipe",
+        "text",
+        site="where",
+        client="who asked for it",
+        operator="who scanned",
+        launch="where the head went in",
+        receive="where it came out",
+        direction="of the scan",
+        material="of the pipe",
         remarks="of the operator",
     ),
     *_columns(
-        "number", sdr="outer diameter over wall thickness", job_diameter_mm="nominal diameter that the job names",
+        "number",
+        sdr="outer diameter over wall thickness",
+        job_diameter_mm="nominal diameter that the job names",
         nominal_diameter_mm="against which deviations were measured, of the calibration",
     ),
     *_columns(
-        "text", head="serial number that the job names", controller="serial number of the head's controller",
-        firmware="version and commit of what ran on it", calibration="whose: the recording's own, or a file's name",
-        calibrated="how its sections came about, JSON", made_with="version of annulus that made the results",
-        recorded_with="version of annulus that recorded", source="the scan, as it was named",
+        "text",
+        head="serial number that the job names",
+        controller="serial number of the head's controller",
+        firmware="version and commit of what ran on it",
+        calibration="whose: the recording's own, or a file's name",
+        calibrated="how its sections came about, JSON",
+        made_with="version of annulus that made the results",
+        recorded_with="version of annulus that recorded",
+        source="the scan, as it was named",
         results="folder of the results when they were added",
     ),
     *_columns(
-        "time", begun_utc="first moment of the scan, by the recording computer's clock", ended_utc="its last moment",
-        created_utc="when the results were made", added_utc="when they were added",
+        "time",
+        begun_utc="first moment of the scan, by the recording computer's clock",
+        ended_utc="its last moment",
+        created_utc="when the results were made",
+        added_utc="when they were added",
     ),
     *_columns("text", date_of="who says the date: job or recording"),
     *_columns("number", scanned_from_mm="distance along the pipe where the scan begins", scanned_to_mm="where it ends"),
     *_columns("whole", points="of the wall"),
     *_columns(
-        "number", seen_percent="of the wall", hidden_percent="of the wall, behind steps", noise_mm="of a point, k = 1",
-        diameter_mean_mm="of the pipe", diameter_min_mm="least", diameter_max_mm="greatest",
-        diameter_k2_mm="uncertainty of the mean", ovality_f1216_percent="greatest, ASTM F1216, as measured",
+        "number",
+        seen_percent="of the wall",
+        hidden_percent="of the wall, behind steps",
+        noise_mm="of a point, k = 1",
+        diameter_mean_mm="of the pipe",
+        diameter_min_mm="least",
+        diameter_max_mm="greatest",
+        diameter_k2_mm="uncertainty of the mean",
+        ovality_f1216_percent="greatest, ASTM F1216, as measured",
         shape_ovality_f1216_percent="greatest, of the fitted shape, without defects",
-        depth_limit_mm="a defect as deep is found", size_limit_mm="a defect as wide is found",
+        depth_limit_mm="a defect as deep is found",
+        size_limit_mm="a defect as wide is found",
         ovality_limit_percent="an ovality as great is found",
     ),
     *_columns("text", limits="title of the limits it was held against", decision="by them"),
     *_columns(
-        "whole", station_count="rows in stations", defect_count="rows in defects", undecided_count="rows in undecided",
-        feature_count="rows in features", warning_count="warnings of the reconstruction",
+        "whole",
+        station_count="rows in stations",
+        defect_count="rows in defects",
+        undecided_count="rows in undecided",
+        feature_count="rows in features",
+        warning_count="warnings of the reconstruction",
     ),
     *_columns(
-        "text", scan="what tells its scan from all others; versions of one scan have one",
-        replaces="the survey it was said to replace", digest="SHA-256 of the contents",
+        "text",
+        scan="what tells its scan from all others; versions of one scan have one",
+        replaces="the survey it was said to replace",
+        digest="SHA-256 of the contents",
     ),
     *_columns(
         "text",
         not_established="where its verdict is open, JSON: limits, z_from_mm, z_to_mm, clock_deg, arc_deg, reason",
     ),
-]  # fmt: skip
+]
 
 STATIONS: Sequence[Column] = [
     *_key("it belongs to"),
     *_columns(
-        "number", z_mm="distance along the pipe", diameter_min_mm="least", diameter_max_mm="greatest",
-        diameter_mean_mm="mean", diameter_k2_mm="uncertainty of a diameter",
+        "number",
+        z_mm="distance along the pipe",
+        diameter_min_mm="least",
+        diameter_max_mm="greatest",
+        diameter_mean_mm="mean",
+        diameter_k2_mm="uncertainty of a diameter",
         ovality_f1216_percent="ASTM F1216, as measured",
         shape_ovality_f1216_percent="ASTM F1216, of the fitted shape: without defects",
-        valid_fraction="share of the circle that was seen", diameter_x_mm="from 3 to 9 o'clock",
-        diameter_y_mm="from 12 to 6 o'clock", circumference_mm="inner", circumference_k2_mm="its uncertainty",
-        area_mm2="inner", area_k2_mm2="its uncertainty",
+        valid_fraction="share of the circle that was seen",
+        diameter_x_mm="from 3 to 9 o'clock",
+        diameter_y_mm="from 12 to 6 o'clock",
+        circumference_mm="inner",
+        circumference_k2_mm="its uncertainty",
+        area_mm2="inner",
+        area_k2_mm2="its uncertainty",
     ),
-]  # fmt: skip
+]
 
 _PLACE: Sequence[Column] = [
     *_columns("whole", number="in the results: 1 is D1, U1 or F1 of the report"),
     *_columns("text", kind="as summary.json calls it"),
     *_columns(
-        "number", z_mm="distance of its middle", z_from_mm="where it begins", z_to_mm="where it ends",
-        clock_deg="of its middle", arc_deg="round the pipe, 360: all round", length_mm="along the pipe",
+        "number",
+        z_mm="distance of its middle",
+        z_from_mm="where it begins",
+        z_to_mm="where it ends",
+        clock_deg="of its middle",
+        arc_deg="round the pipe, 360: all round",
+        length_mm="along the pipe",
     ),
-]  # fmt: skip
+]
 _JUDGED: Sequence[Column] = _columns("text", severity="by the limits named; NULL without", decision="by them")
 
 DEFECTS: Sequence[Column] = [
     *_key("it belongs to"),
     *_PLACE,
-    *_columns("number", depth_mm="greatest", depth_k2_mm="its uncertainty", area_mm2="of the wall",
-              hidden_mm="length of it that no light reached"),
+    *_columns(
+        "number",
+        depth_mm="greatest",
+        depth_k2_mm="its uncertainty",
+        area_mm2="of the wall",
+        hidden_mm="length of it that no light reached",
+    ),
     *_columns("yes", floor_seen="no: it is at least as deep", sure="no: undecided"),
     *_JUDGED,
-]  # fmt: skip
+]
 
 FEATURES: Sequence[Column] = [
     *_key("it belongs to"),
@@ -122,20 +169,30 @@ FEATURES: Sequence[Column] = [
 ]
 
 TABLES: Mapping[str, Sequence[Column]] = {
-    "surveys": SURVEYS, "stations": STATIONS, "defects": DEFECTS, "features": FEATURES,
-}  # fmt: skip
+    "surveys": SURVEYS,
+    "stations": STATIONS,
+    "defects": DEFECTS,
+    "features": FEATURES,
+}
 """As they are stored, a file each."""
 
 SUPERSEDED = Column(
     "superseded_by", "text", "the survey of the same scan that counts in its place; only in all_surveys"
 )
 JOINT_MEASURES: Mapping[str, str] = {
-    "height_mm": "of the bead", "height_k2_mm": "its uncertainty", "width_mm": "of the bead",
-    "width_k2_mm": "its uncertainty", "gap_mm": "between the pipes' ends", "gap_k2_mm": "its uncertainty",
-    "hilo_mm": "one pipe's axis beside the other's", "hilo_k2_mm": "its uncertainty",
-    "angle_deg": "between the axes", "angle_k2_deg": "its uncertainty",
-    "step_mm": "of the diameter", "step_k2_mm": "its uncertainty",
-}  # fmt: skip
+    "height_mm": "of the bead",
+    "height_k2_mm": "its uncertainty",
+    "width_mm": "of the bead",
+    "width_k2_mm": "its uncertainty",
+    "gap_mm": "between the pipes' ends",
+    "gap_k2_mm": "its uncertainty",
+    "hilo_mm": "one pipe's axis beside the other's",
+    "hilo_k2_mm": "its uncertainty",
+    "angle_deg": "between the axes",
+    "angle_k2_deg": "its uncertainty",
+    "step_mm": "of the diameter",
+    "step_k2_mm": "its uncertainty",
+}
 """Of features that `joints` has as columns of its own."""
 JOINT_KINDS = ("joint", "gap")
 

@@ -79,8 +79,10 @@ class Engine:
     def _lock(self) -> None:
         files = [quoted(str(path)) for table in TABLES for path in self.pieces.files(table)]
         for setting in (
-            f"allowed_paths = [{', '.join(files)}]", "enable_external_access = false", "lock_configuration = true",
-        ):  # fmt: skip
+            f"allowed_paths = [{', '.join(files)}]",
+            "enable_external_access = false",
+            "lock_configuration = true",
+        ):
             self.connection.execute(f"SET {setting}")
 
     def ask(self, sql: str) -> Any:
@@ -89,9 +91,14 @@ class Engine:
         require_select(self.connection, sql)
         duckdb = need("duckdb")
         not_of_files = (
-            duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException, duckdb.ConversionException,
-            duckdb.PermissionException, duckdb.OutOfMemoryException, duckdb.InterruptException,
-        )  # fmt: skip
+            duckdb.ParserException,
+            duckdb.BinderException,
+            duckdb.CatalogException,
+            duckdb.ConversionException,
+            duckdb.PermissionException,
+            duckdb.OutOfMemoryException,
+            duckdb.InterruptException,
+        )
         try:
             return self.connection.execute(sql)
         except not_of_files:

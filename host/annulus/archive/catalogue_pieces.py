@@ -17,9 +17,14 @@ from annulus.untrusted import one_line
 
 MEMORY_MB = 1024
 _SQL_OF = {
-    "text": "VARCHAR", "number": "DOUBLE", "whole": "BIGINT", "yes": "BOOLEAN", "date": "DATE", "time": "TIMESTAMP",
+    "text": "VARCHAR",
+    "number": "DOUBLE",
+    "whole": "BIGINT",
+    "yes": "BOOLEAN",
+    "date": "DATE",
+    "time": "TIMESTAMP",
     "measures": "MAP(VARCHAR, DOUBLE)",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +84,16 @@ def session(memory_mb: int = MEMORY_MB) -> Any:
     return duckdb.connect(
         ":memory:",
         config={
-            "memory_limit": f"{memory_mb}MB", "temp_directory": "", "autoinstall_known_extensions": "false",
-            "autoload_known_extensions": "false", "allow_community_extensions": "false",
-            "allow_persistent_secrets": "false", "python_enable_replacements": "false",
+            "memory_limit": f"{memory_mb}MB",
+            "temp_directory": "",
+            "autoinstall_known_extensions": "false",
+            "autoload_known_extensions": "false",
+            "allow_community_extensions": "false",
+            "allow_persistent_secrets": "false",
+            "python_enable_replacements": "false",
             "preserve_insertion_order": "true",
         },
-    )  # fmt: skip
+    )
 
 
 def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) -> Pieces:

@@ -208,9 +208,14 @@ def _own(row: dict[str, Any]) -> dict[str, Any]:
 def _write(path: Path, columns: Sequence[Column], record: SurveyRecord, table: str) -> None:
     pa, pq = need("pyarrow"), need("pyarrow.parquet")
     kinds = {
-        "text": pa.string(), "number": pa.float64(), "whole": pa.int64(), "yes": pa.bool_(), "date": pa.date32(),
-        "time": pa.timestamp("us"), "measures": pa.map_(pa.string(), pa.float64()),
-    }  # fmt: skip
+        "text": pa.string(),
+        "number": pa.float64(),
+        "whole": pa.int64(),
+        "yes": pa.bool_(),
+        "date": pa.date32(),
+        "time": pa.timestamp("us"),
+        "measures": pa.map_(pa.string(), pa.float64()),
+    }
     key = record.key
     if table == "stations":
         count = len(record.stations["z_mm"])

@@ -139,31 +139,44 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
     defects += [_defect(i, one, sure=False) for i, one in enumerate(undecided, 1)]
     firmware = " ".join(who[name] for name in ("version", "git") if name in who)
     row = {
-        "pipe": job.pipe or None, "date": day, "date_of": day_of,
-        **{name: getattr(job, name) or None
-           for name in ("site", "client", "operator", "launch", "receive", "direction", "material", "remarks", "head")},
-        "sdr": job.sdr, "job_diameter_mm": job.nominal_diameter_mm,
+        "pipe": job.pipe or None,
+        "date": day,
+        "date_of": day_of,
+        **{
+            name: getattr(job, name) or None
+            for name in ("site", "client", "operator", "launch", "receive", "direction", "material", "remarks", "head")
+        },
+        "sdr": job.sdr,
+        "job_diameter_mm": job.nominal_diameter_mm,
         "nominal_diameter_mm": within(diameter.get("nominal"), "diameter_mm.nominal", 1.0, 1e5),
-        "controller": who.get("serial"), "firmware": firmware or None,
-        "calibration": _text(calibration.get("file"), "origin.calibration.file"), "calibrated": calibrated,
+        "controller": who.get("serial"),
+        "firmware": firmware or None,
+        "calibration": _text(calibration.get("file"), "origin.calibration.file"),
+        "calibrated": calibrated,
         "made_with": _version(summary.get("versions"), "versions"),
         "recorded_with": _version(origin.get("recorded_with"), "origin.recorded_with"),
         "source": _text(summary.get("source"), "source"),
-        "begun_utc": begun, "ended_utc": ended, "created_utc": created,
-        "scanned_from_mm": first, "scanned_to_mm": last,
+        "begun_utc": begun,
+        "ended_utc": ended,
+        "created_utc": created,
+        "scanned_from_mm": first,
+        "scanned_to_mm": last,
         "points": int(within(summary.get("points"), "points", 0, 1e12)),
         **{name: known.get(name) for name in ("seen_percent", "hidden_percent", "noise_mm")},
         **{f"diameter_{name}_mm": known.get(f"diameter_mm.{name}") for name in ("mean", "min", "max", "k2")},
         "ovality_f1216_percent": known.get("ovality.max_percent"),
         "shape_ovality_f1216_percent": known.get("ovality.shape_max_percent"),
-        "depth_limit_mm": known.get("limits.depth_mm"), "size_limit_mm": known.get("limits.size_mm"),
+        "depth_limit_mm": known.get("limits.depth_mm"),
+        "size_limit_mm": known.get("limits.size_mm"),
         "ovality_limit_percent": known.get("limits.ovality_percent"),
         "limits": _text(conformity.get("title"), "conformity.title"),
         "decision": _text(conformity.get("decision"), "conformity.decision"),
         "not_established": _open_places(conformity.get("not_established")),
-        "defect_count": len(sure), "undecided_count": len(undecided), "feature_count": len(found),
+        "defect_count": len(sure),
+        "undecided_count": len(undecided),
+        "feature_count": len(found),
         "warning_count": _count(summary.get("warnings")),
-    }  # fmt: skip
+    }
     return row, defects, [_feature(i, one) for i, one in enumerate(found, 1)]
 
 
@@ -195,10 +208,17 @@ def _open_places(found: object) -> str | None:
 
 def _place(number: int, one: Place) -> dict[str, Any]:
     return {
-        "number": number, "kind": one.kind, "z_mm": float(one.z_mm), "z_from_mm": float(one.z_from_mm),
-        "z_to_mm": float(one.z_to_mm), "clock_deg": float(one.clock_deg), "arc_deg": float(one.arc_deg),
-        "length_mm": float(one.length_mm), "severity": one.severity or None, "decision": one.decision or None,
-    }  # fmt: skip
+        "number": number,
+        "kind": one.kind,
+        "z_mm": float(one.z_mm),
+        "z_from_mm": float(one.z_from_mm),
+        "z_to_mm": float(one.z_to_mm),
+        "clock_deg": float(one.clock_deg),
+        "arc_deg": float(one.arc_deg),
+        "length_mm": float(one.length_mm),
+        "severity": one.severity or None,
+        "decision": one.decision or None,
+    }
 
 
 def _defect(number: int, one: Place, sure: bool) -> Row:

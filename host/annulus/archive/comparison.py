@@ -186,9 +186,11 @@ def compare(first: Path, second: Path, progress: Progress = lambda what, done, t
 
 
 def compare_maps(
-    first: WallMap, second: WallMap, progress: Progress = lambda what, done, total: None,
+    first: WallMap,
+    second: WallMap,
+    progress: Progress = lambda what, done, total: None,
     lists: tuple[Sequence[Place], Sequence[Place]] = ((), ()),
-) -> Comparison:  # fmt: skip
+) -> Comparison:
     """The same of maps that were read. lists: the defects that a report of each lists."""
     alignment = align(first, second, progress)
     listed = laid_out(*lists, second, alignment)
@@ -204,20 +206,30 @@ def compare_maps(
 def _about(wall: WallMap) -> dict[str, Any]:
     rows, columns = wall.deviation_mm.shape
     return {
-        "map": wall.name, "rows": rows, "columns": columns, "z_step_mm": wall.step_mm, "radius_mm": wall.radius_mm,
+        "map": wall.name,
+        "rows": rows,
+        "columns": columns,
+        "z_step_mm": wall.step_mm,
+        "radius_mm": wall.radius_mm,
         "seen_fraction": _number(float(np.isfinite(wall.deviation_mm).mean()), 4),
         "has_roll": bool(np.isfinite(wall.imu_roll_deg).any()),
-    }  # fmt: skip
+    }
 
 
 def _told(one: Change) -> dict[str, Any]:
     return {
-        "z_mm": _number(one.z_mm, 1), "clock_deg": _number(one.clock_deg, 1), "growth_mm": _number(one.growth_mm),
-        "growth_k2_mm": _number(one.growth_k2_mm), "depth_first_mm": _number(one.depth_first_mm),
-        "depth_second_mm": _number(one.depth_second_mm), "length_mm": _number(one.length_mm, 1),
-        "arc_deg": _number(one.arc_deg, 1), "verdict": str(one.verdict), "listed_first": one.first.split(),
+        "z_mm": _number(one.z_mm, 1),
+        "clock_deg": _number(one.clock_deg, 1),
+        "growth_mm": _number(one.growth_mm),
+        "growth_k2_mm": _number(one.growth_k2_mm),
+        "depth_first_mm": _number(one.depth_first_mm),
+        "depth_second_mm": _number(one.depth_second_mm),
+        "length_mm": _number(one.length_mm, 1),
+        "arc_deg": _number(one.arc_deg, 1),
+        "verdict": str(one.verdict),
+        "listed_first": one.first.split(),
         "listed_second": one.second.split(),
-    }  # fmt: skip
+    }
 
 
 def _number(value: float, places: int = 3) -> float | None:

@@ -105,9 +105,15 @@ class Laid:
         own = [self._waves(wall, free) for wall in (self.first, self.second)]
         walls = [wall - drawn(one, columns) for wall, one in zip((self.first, self.second), own, strict=True)]
         return Difference(
-            grown, np.where(np.isfinite(grown), np.maximum(sigma, SIGMA_LEAST_MM), np.nan).astype(np.float32),
-            walls[0], walls[1], np.stack([one[:, 2] for one in own]), self.z_mm, self.step_mm, self.radius_mm,
-        )  # fmt: skip
+            grown,
+            np.where(np.isfinite(grown), np.maximum(sigma, SIGMA_LEAST_MM), np.nan).astype(np.float32),
+            walls[0],
+            walls[1],
+            np.stack([one[:, 2] for one in own]),
+            self.z_mm,
+            self.step_mm,
+            self.radius_mm,
+        )
 
     def _waves(self, field: Float32Array, weight: Float32Array) -> ComplexArray:
         """Of each row, begun from what the rows around say."""
@@ -154,9 +160,16 @@ def lay(first: WallMap, second: WallMap, alignment: Alignment) -> Laid:
     share = np.maximum(share, np.float32(0.25))
     torn = alignment.slips if alignment.found < BARE else ()
     return Laid(
-        mine, theirs, share, sigma_z, sigma_roll, first.z_mm, first.step_mm, first.radius_mm,
+        mine,
+        theirs,
+        share,
+        sigma_z,
+        sigma_roll,
+        first.z_mm,
+        first.step_mm,
+        first.radius_mm,
         tuple(float(alignment.z_mm[row]) for row in torn),
-    )  # fmt: skip
+    )
 
 
 def _taken(

@@ -62,9 +62,13 @@ class Search:
     """One map (Z, A) mm with the sigma of its cells, from which floors are taken."""
 
     def __init__(
-        self, field: Float32Array, sigma: Float32Array, z_mm: FloatArray, column_mm: float,
+        self,
+        field: Float32Array,
+        sigma: Float32Array,
+        z_mm: FloatArray,
+        column_mm: float,
         bells_mm: tuple[float, ...] = BELLS_MM,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.seen = np.isfinite(field) & np.isfinite(sigma)
         self.left = np.where(self.seen, field, 0.0).astype(np.float32)
         self.weight = np.where(self.seen, 1.0 / np.square(np.where(self.seen, sigma, 1.0)), 0.0).astype(np.float32)
@@ -199,9 +203,14 @@ class Search:
 
         def floor(x: FloatArray) -> Floor:
             return replace(
-                start, height_mm=float(x[0]), z_mm=float(x[1]), clock_deg=float(start.clock_deg + degrees * x[2]),
-                length_mm=float(np.exp(x[3])), arc_deg=float(degrees * np.exp(x[4])), exponent=float(np.exp(x[5])),
-            )  # fmt: skip
+                start,
+                height_mm=float(x[0]),
+                z_mm=float(x[1]),
+                clock_deg=float(start.clock_deg + degrees * x[2]),
+                length_mm=float(np.exp(x[3])),
+                arc_deg=float(degrees * np.exp(x[4])),
+                exponent=float(np.exp(x[5])),
+            )
 
         def off(x: FloatArray) -> FloatArray:
             shape = floor(x).shape(z, clock)[seen]
@@ -209,9 +218,16 @@ class Search:
             return np.concatenate([misfit, [(x[5] - np.log(SHAPE)) / SHAPE_WIDE, x[6] / 0.03]])
 
         x = np.array(
-            [start.height_mm, start.z_mm, 0.0, np.log(start.length_mm), np.log(start.arc_deg / degrees),
-             np.log(start.exponent), 0.0]
-        )  # fmt: skip
+            [
+                start.height_mm,
+                start.z_mm,
+                0.0,
+                np.log(start.length_mm),
+                np.log(start.arc_deg / degrees),
+                np.log(start.exponent),
+                0.0,
+            ]
+        )
         reach = start.length_mm / 2 + 2 * self.step_mm, start.arc_deg / degrees / 2 + 2 * self.column_mm
         low = np.array(
             [-50.0, x[1] - reach[0], -reach[1], np.log(LENGTH_MM[0]), np.log(ARC_MM[0]), np.log(EXPONENT[0]), -1.0]

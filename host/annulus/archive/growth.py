@@ -163,10 +163,11 @@ def _pairs(defects: list[tuple[int, Floor]]) -> list[tuple[Floor, Floor]]:
     def alike(one: Floor, other: Floor) -> bool:
         sizes = one.length_mm / other.length_mm, one.arc_deg / other.arc_deg
         return (
-            one.height_mm * other.height_mm > 0 and one.off_deg(other.clock_deg) < (one.arc_deg + other.arc_deg) / 8
+            one.height_mm * other.height_mm > 0
+            and one.off_deg(other.clock_deg) < (one.arc_deg + other.arc_deg) / 8
             and abs(one.z_mm - other.z_mm) < (one.length_mm + other.length_mm) / 2
             and all(1 / SAME_SIZE < size < SAME_SIZE for size in sizes)
-        )  # fmt: skip
+        )
 
     every = [(one, other) for one in first for other in second if alike(one, other)]
     out: list[tuple[Floor, Floor]] = []
@@ -228,9 +229,7 @@ def _k2(sigma_mm: float, height_mm: float) -> float:
 
 
 def _change(floor: Floor, before: float, after: float, growth: float, k2: float, verdict: Verdict) -> Change:
-    return Change(
-        floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, before, after, growth, k2, verdict
-    )  # fmt: skip
+    return Change(floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, before, after, growth, k2, verdict)
 
 
 def _verdict(before: float, after: float) -> Verdict:

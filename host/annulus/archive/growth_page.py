@@ -27,9 +27,16 @@ from annulus.vocabulary import AnnulusError
 TEMPLATE = "growth.html.j2"
 INK, FAINT, UNSEEN = "#1c2733", "#6b7885", "#c9ced4"
 STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.8,
+    "hatch.linewidth": 0.5,
+}
 SIZE_IN, OVALITY_IN, DPI = (9.0, 3.9), (9.0, 2.2), 150
 ROWS_MAX = 2400  # of the picture: two a dot
 SCALE_LEAST_MM = 0.25  # ends of the colours where nothing grew
@@ -48,10 +55,15 @@ def draw(comparison: Comparison) -> bytes:
         axes = figure.add_axes((0.085, 0.14, 0.79, 0.70))
         axes.set_facecolor(UNSEEN)
         shown = axes.imshow(
-            np.ma.masked_invalid(field.T), cmap=LinearSegmentedColormap.from_list("deviation", palette.DEVIATION),
-            vmin=-scale, vmax=scale, extent=(z[0] - half, z[-1] + half, 360.0, 0.0), aspect="auto",
-            interpolation="nearest", zorder=2,
-        )  # fmt: skip
+            np.ma.masked_invalid(field.T),
+            cmap=LinearSegmentedColormap.from_list("deviation", palette.DEVIATION),
+            vmin=-scale,
+            vmax=scale,
+            extent=(z[0] - half, z[-1] + half, 360.0, 0.0),
+            aspect="auto",
+            interpolation="nearest",
+            zorder=2,
+        )
         for number, one in enumerate(changed, start=1):
             _mark(axes, one, number)
         axes.set_xlim(z[0] - half, z[-1] + half)
@@ -63,9 +75,13 @@ def draw(comparison: Comparison) -> bytes:
         axes.grid(axis="y", color=INK, alpha=0.10, lw=0.6)
         axes.text(0, 1.12, "Growth from the first scan to the second", transform=axes.transAxes, fontweight="bold")
         axes.legend(
-            handles=[Patch(label="not seen by both", fc=UNSEEN, ec="#aab1b9", lw=0.5)], loc="lower left",
-            bbox_to_anchor=(0.0, 1.0), frameon=False, fontsize=8.5, borderaxespad=0.1,
-        )  # fmt: skip
+            handles=[Patch(label="not seen by both", fc=UNSEEN, ec="#aab1b9", lw=0.5)],
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            frameon=False,
+            fontsize=8.5,
+            borderaxespad=0.1,
+        )
         box = axes.get_position()
         bar = figure.colorbar(shown, cax=figure.add_axes((box.x1 + 0.016, box.y0, 0.018, box.height)))
         bar.set_label("growth, mm\n− inwards    outwards +", fontsize=9)
@@ -102,9 +118,16 @@ def _mark(axes: Any, one: Change, number: int) -> None:
         corner = (one.z_mm / 1000 - 0.75 * length, one.clock_deg + turn - 0.75 * arc)
         axes.add_patch(Rectangle(corner, 1.5 * length, 1.5 * arc, fill=False, ec=INK, lw=0.8, zorder=3))
     axes.text(
-        one.z_mm / 1000, max(one.clock_deg - 0.75 * arc - 3, 12), str(number), ha="center", va="bottom", fontsize=8,
-        fontweight="bold", zorder=4, clip_on=True,
-    )  # fmt: skip
+        one.z_mm / 1000,
+        max(one.clock_deg - 0.75 * arc - 3, 12),
+        str(number),
+        ha="center",
+        va="bottom",
+        fontsize=8,
+        fontweight="bold",
+        zorder=4,
+        clip_on=True,
+    )
 
 
 def render(comparison: Comparison) -> str:
@@ -118,19 +141,31 @@ def render(comparison: Comparison) -> str:
     numbers = {id(one): number for number, one in enumerate(changed, start=1)}
     first, last = comparison.overlap_mm
     return environment.from_string(text).render(
-        first=printable(comparison.first.name), second=printable(comparison.second.name), says=comparison.sentence(),
-        remarks=comparison.remarks(), picture=base64.b64encode(draw(comparison)).decode(), changed=len(changed),
+        first=printable(comparison.first.name),
+        second=printable(comparison.second.name),
+        says=comparison.sentence(),
+        remarks=comparison.remarks(),
+        picture=base64.b64encode(draw(comparison)).decode(),
+        changed=len(changed),
         rows=[_row(one, numbers.get(id(one))) for one in size.changes],
-        listed=any(one.called for one in size.changes), ovality=comparison.ovality_sentence(),
+        listed=any(one.called for one in size.changes),
+        ovality=comparison.ovality_sentence(),
         diameter=comparison.diameter_sentence(),
         ovality_picture=base64.b64encode(draw_ovality(comparison.ovality)).decode(),
-        z_k2=f"± {_typical(2 * aligned.sigma_z_mm):.1f} mm", roll_k2=f"± {_typical(2 * aligned.sigma_roll_deg):.2f}°",
-        z_worst=f"{_worst(2 * aligned.sigma_z_mm):.1f} mm", roll_worst=f"{_worst(2 * aligned.sigma_roll_deg):.2f}°",
-        scale=f"{aligned.scale:.4f}", slips=len(aligned.slips), sure=f"{aligned.sure:.0f}",
-        overlap=span(first, last, DISTANCE), seen=said(100 * size.seen_fraction, SHARE),
-        least=off(size.least_median_mm, MEASURE), least_worst=off(size.least_p95_mm, MEASURE),
-        created=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", version=metadata.version("annulus"),
-    )  # fmt: skip
+        z_k2=f"± {_typical(2 * aligned.sigma_z_mm):.1f} mm",
+        roll_k2=f"± {_typical(2 * aligned.sigma_roll_deg):.2f}°",
+        z_worst=f"{_worst(2 * aligned.sigma_z_mm):.1f} mm",
+        roll_worst=f"{_worst(2 * aligned.sigma_roll_deg):.2f}°",
+        scale=f"{aligned.scale:.4f}",
+        slips=len(aligned.slips),
+        sure=f"{aligned.sure:.0f}",
+        overlap=span(first, last, DISTANCE),
+        seen=said(100 * size.seen_fraction, SHARE),
+        least=off(size.least_median_mm, MEASURE),
+        least_worst=off(size.least_p95_mm, MEASURE),
+        created=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        version=metadata.version("annulus"),
+    )
 
 
 def _row(one: Change, number: int | None) -> dict[str, object]:
@@ -138,11 +173,18 @@ def _row(one: Change, number: int | None) -> dict[str, object]:
     if one.verdict not in CHANGED and math.isfinite(one.growth_k2_mm):
         growth = f"within ± {digits_k2(one.growth_k2_mm, MEASURE)} mm"
     return {
-        "number": number or "", "z": said(one.z_mm, DISTANCE), "clock": clock_face(one.clock_deg), "growth": growth,
-        "then": said(one.depth_first_mm, MEASURE), "now": said(one.depth_second_mm, MEASURE),
-        "size": f"{said(one.length_mm, EXTENT)} × {said(one.arc_deg, ARC)}", "verdict": str(one.verdict),
-        "changed": one.verdict in CHANGED, "first": one.first, "second": one.second,
-    }  # fmt: skip
+        "number": number or "",
+        "z": said(one.z_mm, DISTANCE),
+        "clock": clock_face(one.clock_deg),
+        "growth": growth,
+        "then": said(one.depth_first_mm, MEASURE),
+        "now": said(one.depth_second_mm, MEASURE),
+        "size": f"{said(one.length_mm, EXTENT)} × {said(one.arc_deg, ARC)}",
+        "verdict": str(one.verdict),
+        "changed": one.verdict in CHANGED,
+        "first": one.first,
+        "second": one.second,
+    }
 
 
 def _typical(values: Any) -> float:

@@ -68,18 +68,30 @@ def laid_out(first: Sequence[Place], second: Sequence[Place], wall: WallMap, ali
         there = float(np.interp(floor.z_mm, z, place)) + way * alignment.scale * beyond
         clock = float(np.interp(floor.z_mm, z, roll)) + way * floor.clock_deg
         out.append(
-            Listed(1, f"D{k}", one.kind, replace(floor, z_mm=there, clock_deg=clock % 360.0),
-                   float(np.interp(floor.z_mm, z, k2)), beyond == 0.0)
-        )  # fmt: skip
+            Listed(
+                1,
+                f"D{k}",
+                one.kind,
+                replace(floor, z_mm=there, clock_deg=clock % 360.0),
+                float(np.interp(floor.z_mm, z, k2)),
+                beyond == 0.0,
+            )
+        )
     return out
 
 
 def _floor(one: Place) -> Floor:
     depth = one.depth_mm or 0.0
     return Floor(
-        one.z_mm, one.clock_deg, max(one.length_mm, 1.0), max(one.arc_deg, 1.0), -depth if one.kind == BUMP else depth,
-        SHAPE, math.nan, math.nan,
-    )  # fmt: skip
+        one.z_mm,
+        one.clock_deg,
+        max(one.length_mm, 1.0),
+        max(one.arc_deg, 1.0),
+        -depth if one.kind == BUMP else depth,
+        SHAPE,
+        math.nan,
+        math.nan,
+    )
 
 
 def named(changes: Sequence[Change], listed: Sequence[Listed], oval: Ovality, radius_mm: float) -> tuple[Change, ...]:
@@ -105,9 +117,7 @@ def _untold(one: Listed) -> Change:
     floor = one.floor
     depths = (floor.height_mm, math.nan) if one.year == 0 else (math.nan, floor.height_mm)
     verdict = Verdict.UNDECIDED if one.inside else Verdict.UNSEEN
-    return Change(
-        floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, *depths, math.nan, math.nan, verdict
-    )  # fmt: skip
+    return Change(floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, *depths, math.nan, math.nan, verdict)
 
 
 def _of_ovality(one: Listed, oval: Ovality, radius_mm: float) -> Change:
@@ -119,6 +129,10 @@ def _of_ovality(one: Listed, oval: Ovality, radius_mm: float) -> Change:
     stands = abs(now - then) > max(LEAST_MM, k2)
     verdict = (Verdict.GROWN if now > then else Verdict.LESS) if stands else Verdict.SAME
     return replace(
-        _untold(one), depth_first_mm=then, depth_second_mm=now, growth_mm=now - then,
-        growth_k2_mm=k2 if stands else max(k2, abs(now - then)), verdict=verdict,
-    )  # fmt: skip
+        _untold(one),
+        depth_first_mm=then,
+        depth_second_mm=now,
+        growth_mm=now - then,
+        growth_k2_mm=k2 if stands else max(k2, abs(now - then)),
+        verdict=verdict,
+    )

@@ -26,10 +26,17 @@ FORMAT = "annulus-wall/1"
 BEYOND_UM = 32767  # a deviation of it, either way, is that or more: no measure; -32768 is not seen
 ROWS_MIN, ROWS_MAX, COLUMNS_MIN, COLUMNS_MAX, CELLS_MAX = 16, 200_000, 16, 3600, 1 << 27
 MOST = {  # bytes of each array that is read
-    "format": 4 * 200, "deviation_um": 2 * CELLS_MAX, "shadowed": CELLS_MAX, "z_step_mm": 8, "radius_mm": 8,
-    "scale_part": 8, "oval_part": 8,
-    "z_mm": 8 * ROWS_MAX, "clock_deg": 8 * COLUMNS_MAX, "imu_roll_deg": 8 * ROWS_MAX,
-}  # fmt: skip
+    "format": 4 * 200,
+    "deviation_um": 2 * CELLS_MAX,
+    "shadowed": CELLS_MAX,
+    "z_step_mm": 8,
+    "radius_mm": 8,
+    "scale_part": 8,
+    "oval_part": 8,
+    "z_mm": 8 * ROWS_MAX,
+    "clock_deg": 8 * COLUMNS_MAX,
+    "imu_roll_deg": 8 * ROWS_MAX,
+}
 STEP_MM, RADIUS_MM, PLACE_MM, ROLL_DEG = (0.05, 100.0), (5.0, 5000.0), 1e8, 1e6
 PART = (0.0, 1.0)  # of the radius
 EVEN = 0.01  # of a step: by so much rows may lie beside an even grid
@@ -68,9 +75,16 @@ class WallMap:
         looking that way. Its z is counted from the last row, as negative places."""
         step = self.column_deg
         return WallMap(
-            self.name, np.ascontiguousarray(self.deviation_mm[::-1, ::-1]), -float(self.z_mm[-1]), self.step_mm,
-            self.radius_mm, -self.imu_roll_deg[::-1], -(self.first_deg + 360.0 - step), self.scale_part, self.oval_part,
-        )  # fmt: skip
+            self.name,
+            np.ascontiguousarray(self.deviation_mm[::-1, ::-1]),
+            -float(self.z_mm[-1]),
+            self.step_mm,
+            self.radius_mm,
+            -self.imu_roll_deg[::-1],
+            -(self.first_deg + 360.0 - step),
+            self.scale_part,
+            self.oval_part,
+        )
 
 
 def read_map(path: Path) -> WallMap:
@@ -89,9 +103,16 @@ def read_map(path: Path) -> WallMap:
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (
-        zipfile.BadZipFile, zlib.error, EOFError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError,
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RuntimeError,
+        TypeError,
         SystemError,  # of numpy, for text of no characters
-    ):  # fmt: skip
+    ):
         raise AnnulusError(f"{path}: no whole .npz, expected a wall map (deviation_um, z_step_mm, radius_mm)") from None
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}; expected a wall map (deviation_um, z_step_mm, radius_mm)") from None

@@ -109,9 +109,15 @@ def _binned(wall: WallMap, part: Detail, size: float, with_sensor: bool) -> _Bin
 
 
 def _candidates(
-    first: WallMap, second: WallMap, one: _Binned, other: _Binned, start: int, rows: int, size: float,
+    first: WallMap,
+    second: WallMap,
+    one: _Binned,
+    other: _Binned,
+    start: int,
+    rows: int,
+    size: float,
     near: Callable[[float], tuple[float, float]] | None,
-) -> list[Stretch]:  # fmt: skip
+) -> list[Stretch]:
     middle = second.first_mm + (start + rows / 2) * size
     low, high = 0, len(one.cells)
     if near is not None:

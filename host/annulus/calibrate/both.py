@@ -44,12 +44,13 @@ class BothCameras:
         return {
             "turned_deg": float(np.degrees(Rotation.from_matrix(self.placed.rotation).magnitude())),
             "turned_sigma_deg": float(np.degrees(sigma[:3].max())),
-            "centre_mm": self.placed.centre_mm.tolist(), "centre_sigma_mm": sigma[3:].tolist(),
+            "centre_mm": self.placed.centre_mm.tolist(),
+            "centre_sigma_mm": sigma[3:].tolist(),
             "moments": [
                 {"files": list(names), "rms_px": float(rms), "used": bool(used)}
                 for names, rms, used in zip(self.moments, self.placed.rms_px, self.placed.used, strict=True)
             ],
-        }  # fmt: skip
+        }
 
 
 def pair_files(first: Sequence[Path], second: Sequence[Path]) -> list[tuple[int, int]]:

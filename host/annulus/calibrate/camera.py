@@ -108,17 +108,24 @@ class CameraCalibration:
             "ray_sigma_px": {"median": float(np.nanmedian(spread)), "worst": float(np.nanmax(spread))},
             "photographs": [
                 {
-                    "file": p.file, "corners": p.corners, "left_out": p.left_out,
+                    "file": p.file,
+                    "corners": p.corners,
+                    "left_out": p.left_out,
                     "rms_px": p.rms_px if np.isfinite(p.rms_px) else None,
-                    "blur_px": p.blur_px if np.isfinite(p.blur_px) else None, "rejected": p.rejected or None,
-                    "pose": None if p.pose is None else {
-                        "rotation": p.pose[0].tolist(), "translation_mm": p.pose[1].tolist(), "own_origin": p.own_origin
+                    "blur_px": p.blur_px if np.isfinite(p.blur_px) else None,
+                    "rejected": p.rejected or None,
+                    "pose": None
+                    if p.pose is None
+                    else {
+                        "rotation": p.pose[0].tolist(),
+                        "translation_mm": p.pose[1].tolist(),
+                        "own_origin": p.own_origin,
                     },
                 }
                 for p in self.photographs
             ],
             "warnings": list(self.warnings),
-        }  # fmt: skip
+        }
 
 
 def parse_target(text: str) -> tuple[int, int, bool]:
@@ -239,11 +246,16 @@ def calibrate_camera(
             rms[i] = target_pose(first.camera, observations_of([i])[0])[2]
         photographs.append(
             Photograph(
-                file.name, 0 if view is None else len(view.cells), int(np.count_nonzero(~good[i])) if i in kept else 0,
-                np.nan if view is None else view.blur_px, float(rms.get(i, np.nan)), rejected[i],
-                pose.get(i), view is not None and view.own_origin,
+                file.name,
+                0 if view is None else len(view.cells),
+                int(np.count_nonzero(~good[i])) if i in kept else 0,
+                np.nan if view is None else view.blur_px,
+                float(rms.get(i, np.nan)),
+                rejected[i],
+                pose.get(i),
+                view is not None and view.own_origin,
             )
-        )  # fmt: skip
+        )
     coverage = _coverage(first)
     if progress:
         progress("fitting", 3, 3)

@@ -22,7 +22,7 @@ from annulus.fringe import (
     light_of,
     plate_names,
     projector_to_dict,
-)  # fmt: skip
+)
 from annulus.geometry.calibration import camera_to_dict
 from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import Scan, open_scan
@@ -57,19 +57,26 @@ class FringeCalibration:
             "projector": projector_to_dict(found.projector),
             "k_rad": float(found.values[4]),
             "sigma": {
-                "across_mm": sigma["across_mm"], "depth_mm": sigma["depth_mm"],
+                "across_mm": sigma["across_mm"],
+                "depth_mm": sigma["depth_mm"],
                 "tilt_deg": [math.degrees(sigma["tilt_x"]), math.degrees(sigma["tilt_y"])],
-                "period": sigma["rate"] / float(found.values[4]) * found.projector.period, "k_rad": sigma["rate"],
-                "turn_deg": math.degrees(sigma["turn"]), "phase0": sigma["phase0"],
+                "period": sigma["rate"] / float(found.values[4]) * found.projector.period,
+                "k_rad": sigma["rate"],
+                "turn_deg": math.degrees(sigma["turn"]),
+                "phase0": sigma["phase0"],
                 "harmonics": list(found.harmonics_sigma),
             },
             "modulation": found.modulation,
-            "gamma": found.gamma, "gamma_sigma": found.gamma_sigma,
+            "gamma": found.gamma,
+            "gamma_sigma": found.gamma_sigma,
             "transfer": self.curve.to_dict(),
-            "rms_rad": found.rms_rad, "cameras_apart_rad": found.camera_rad,
-            "frames": self.frames, "tiles": found.tiles, "heights_mm": list(self.heights_mm),
+            "rms_rad": found.rms_rad,
+            "cameras_apart_rad": found.camera_rad,
+            "frames": self.frames,
+            "tiles": found.tiles,
+            "heights_mm": list(self.heights_mm),
             "warnings": list(self.warnings),
-        }  # fmt: skip
+        }
 
 
 def calibrate_fringe(
@@ -111,19 +118,26 @@ def save_fringe(result: FringeCalibration, path: Path) -> None:
     curves = {name: one.to_dict() for name, one in head.transfer.items()}
     sections = {
         "cameras": [
-            {"id": one.id, **camera_to_dict(one.camera), "rotation": [list(row) for row in one.rotation],
-             "translation_mm": list(one.translation_mm)}
+            {
+                "id": one.id,
+                **camera_to_dict(one.camera),
+                "rotation": [list(row) for row in one.rotation],
+                "translation_mm": list(one.translation_mm),
+            }
             for one in head.cameras
         ],
         "camera": None,
         "pattern": {
-            "kind": "fringe", "projector": told["projector"], "k_rad": told["k_rad"], "sigma": told["sigma"],
+            "kind": "fringe",
+            "projector": told["projector"],
+            "k_rad": told["k_rad"],
+            "sigma": told["sigma"],
             "rms_rad": told["rms_rad"],
         },
         "transfer": curves.get("", curves),
         "motion": list(head.motion),
         "distance_mm": head.distance_mm,
-    }  # fmt: skip
+    }
     measured = {key: told[key] for key in ("rms_rad", "cameras_apart_rad", "frames", "tiles", "heights_mm", "gamma")}
     update_calibration(path, sections, {"pattern": {"by": "annulus calibrate fringe", **measured}})
 
@@ -143,9 +157,13 @@ def _reference(scan: Scan) -> list[int]:
 
 
 def _calibrated(
-    scan: Scan, which: list[int], head: FringeHead, distance_mm: float, curve: Transfer,
+    scan: Scan,
+    which: list[int],
+    head: FringeHead,
+    distance_mm: float,
+    curve: Transfer,
     report: Callable[[int, int], None],
-) -> PlateCalibration:  # fmt: skip
+) -> PlateCalibration:
     plates = []
     for i in which:
         frame, picture = scan.frames[i], scan.read(i)

@@ -44,14 +44,17 @@ class FringePipeCalibration:
             "sigma": {
                 "centre_mm": [float(one) for one in sigma[:3]],
                 "tilt_deg": [math.degrees(one) for one in sigma[3:5]],
-                "phase0": float(sigma[5]), "period_mm": float(sigma[6]) * slide.period,
+                "phase0": float(sigma[5]),
+                "period_mm": float(sigma[6]) * slide.period,
                 "harmonics": [float(one) for one in sigma[7:]],
             },
             "covariance": self.found.covariance.tolist(),
             "transfer": self.curve.to_dict(),
-            "radius_mm": self.head.radius_mm, "misfit_levels": self.found.misfit, "frames": self.found.frames,
+            "radius_mm": self.head.radius_mm,
+            "misfit_levels": self.found.misfit,
+            "frames": self.found.frames,
             "warnings": self.warnings,
-        }  # fmt: skip
+        }
 
     @property
     def warnings(self) -> list[str]:
@@ -61,9 +64,13 @@ class FringePipeCalibration:
 
 
 def calibrate_fringe_pipe(
-    scan: Path, camera: Path, slide: Path | None = None, *, radius_mm: float | None = None,
+    scan: Path,
+    camera: Path,
+    slide: Path | None = None,
+    *,
+    radius_mm: float | None = None,
     progress: Progress | None = None,
-) -> FringePipeCalibration:  # fmt: skip
+) -> FringePipeCalibration:
     """The projector of the head whose camera is in `camera`, from frames of a clean pipe.
 
     slide : the file with the design, that of the camera where None. radius_mm : of the pipe; the file's where None.
@@ -143,19 +150,29 @@ def save_fringe_pipe(result: FringePipeCalibration, path: Path) -> None:
     curves = {name: curve.to_dict() for name, curve in result.head.transfer.items()}
     sections = {
         "cameras": [
-            {"id": one.id, **camera_to_dict(one.camera), "rotation": [list(row) for row in one.rotation],
-             "translation_mm": list(one.translation_mm)}
+            {
+                "id": one.id,
+                **camera_to_dict(one.camera),
+                "rotation": [list(row) for row in one.rotation],
+                "translation_mm": list(one.translation_mm),
+            }
             for one in result.head.cameras
         ],
         "camera": None,
         "pattern": {
-            "kind": "fringe", "projector": told["projector"], "sigma": told["sigma"], "covariance": told["covariance"],
+            "kind": "fringe",
+            "projector": told["projector"],
+            "sigma": told["sigma"],
+            "covariance": told["covariance"],
         },
         "transfer": curves.get("", curves),
         "pipe": {
-            "radius_mm": result.head.radius_mm, "rotation": [list(row) for row in result.head.mount[0]],
+            "radius_mm": result.head.radius_mm,
+            "rotation": [list(row) for row in result.head.mount[0]],
             "translation_mm": list(result.head.mount[1]),
-        } if result.head.mount[0] != STILL else {"radius_mm": result.head.radius_mm},
-    }  # fmt: skip
+        }
+        if result.head.mount[0] != STILL
+        else {"radius_mm": result.head.radius_mm},
+    }
     measured = {key: told[key] for key in ("misfit_levels", "frames")}
     update_calibration(path, sections, {"pattern": {"by": "annulus calibrate fringe", **measured}})

@@ -27,13 +27,21 @@ def write_ring_slide(slide: RingSlide, folder: Path) -> list[Path]:
     radius = np.hypot(place[:, None], place[None, :])
     projector = slide.projector
     section = {
-        "kind": "rings", "centre_mm": list(projector.centre_mm), "rotation": [list(row) for row in projector.rotation],
-        "period_mm": projector.period, "nominal_radius_mm": projector.nominal_radius_mm, "phase0": projector.phase0,
-    }  # fmt: skip
+        "kind": "rings",
+        "centre_mm": list(projector.centre_mm),
+        "rotation": [list(row) for row in projector.rotation],
+        "period_mm": projector.period,
+        "nominal_radius_mm": projector.nominal_radius_mm,
+        "phase0": projector.phase0,
+    }
     said = {
-        "dpi": dpi, "inner_mm": slide.inner_mm, "outer_mm": slide.outer_mm, "focal_mm": slide.focal_mm,
-        "defocus_mm": slide.defocus_mm, "transmission": "linear: grey 255 is clear, 0 is black",
-    }  # fmt: skip
+        "dpi": dpi,
+        "inner_mm": slide.inner_mm,
+        "outer_mm": slide.outer_mm,
+        "focal_mm": slide.focal_mm,
+        "defocus_mm": slide.defocus_mm,
+        "transmission": "linear: grey 255 is clear, 0 is black",
+    }
     pattern = {"pattern": {"kind": "fringe", "projector": section, "design": said}}
     out = [folder / name for name in ("slide.png", "bars.png", "slide.json", "calibration.json")]
     try:

@@ -13,16 +13,7 @@ import numpy as np
 
 from annulus.calibrate.both import AGREES, disagreement, placement_from_dict
 from annulus.calibrate.followed import decode_frames, over_exposed
-from annulus.calibrate.pipe import (
-    FOLDS,
-    FRAMES_MOST,
-    HELD_EVERY,
-    PipeCalibration,
-    advise,
-    check_radius,
-    refuse,
-    warn,
-)
+from annulus.calibrate.pipe import FOLDS, FRAMES_MOST, HELD_EVERY, PipeCalibration, advise, check_radius, refuse, warn
 from annulus.calibrate.sample import Progress, projector_frames, sample
 from annulus.geometry.calibration import Calibration, HeadCamera, Vector, head_cameras_from_dict
 from annulus.numeric.arrays import FloatArray
@@ -113,11 +104,19 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     )
     names = list(marks)
     result = PipeCalibration(
-        calibration, solution, seen, held, None, indices, left_out,
+        calibration,
+        solution,
+        seen,
+        held,
+        None,
+        indices,
+        left_out,
         len({opened.frames[i].index for i in projector_frames(opened, None)}),
-        warnings, advise(cameras[0].camera, alone, radius_mm),
-        {name: marks[name] - marks[before] for before, name in pairwise(names)}, target=compared,
-    )  # fmt: skip
+        warnings,
+        advise(cameras[0].camera, alone, radius_mm),
+        {name: marks[name] - marks[before] for before, name in pairwise(names)},
+        target=compared,
+    )
     if not result.off_mm < TOGETHER * radius_mm:
         raise AnnulusError(
             f"{scan}: no head with these cameras sees this: {result.off_mm:.2f} mm rms of the radius, expected less "
@@ -127,9 +126,12 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
 
 
 def _observed(
-    of: HeadCamera, contours: dict[int, Contours], indices: tuple[int, ...], colours: str,
+    of: HeadCamera,
+    contours: dict[int, Contours],
+    indices: tuple[int, ...],
+    colours: str,
     shift_px: FloatArray | None = None,
-) -> Observations:  # fmt: skip
+) -> Observations:
     """What one camera saw; with the colours' shifts taken out where they are given, to be found where not."""
     number = {index: j for j, index in enumerate(indices)}
     frame = np.concatenate([np.full(len(one.ring), number[index]) for index, one in contours.items()])
@@ -159,7 +161,7 @@ def _calibration(cameras: tuple[HeadCamera, ...], colours: str, solution: Soluti
     covariance = tuple(tuple(float(v) for v in row) for row in solution.covariance)
     return Calibration(
         lenses[0], colours, solution.rings, radius_mm, covariance, others=tuple(others), camera_id=cameras[0].id
-    )  # fmt: skip
+    )
 
 
 def _three(v: FloatArray) -> Vector:

@@ -206,9 +206,14 @@ def calibrate_pipe(
             held = held_corrected = None
     marks["hold out"] = time.process_time()
     calibration = Calibration(
-        known, colours, best.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in best.covariance),
-        None if corrections is None else ring_corrections(corrections), pattern={"kind": "line"} if lines else None,
-    )  # fmt: skip
+        known,
+        colours,
+        best.rings,
+        radius_mm,
+        tuple(tuple(float(v) for v in row) for row in best.covariance),
+        None if corrections is None else ring_corrections(corrections),
+        pattern={"kind": "line"} if lines else None,
+    )
     # a laser's line may be at full scale
     used = [] if lines else [frames[i].exposure for i in kept]
     full = () if lines else over_exposed(contours[i] for i in kept)
@@ -218,9 +223,18 @@ def calibrate_pipe(
     names = list(marks)
     timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
     return PipeCalibration(
-        calibration, best, seen, held, held_corrected, indices, left_out, len(projector_frames(opened)), warnings,
-        advise(known, best, radius_mm), timing,
-    )  # fmt: skip
+        calibration,
+        best,
+        seen,
+        held,
+        held_corrected,
+        indices,
+        left_out,
+        len(projector_frames(opened)),
+        warnings,
+        advise(known, best, radius_mm),
+        timing,
+    )
 
 
 def check_radius(radius_mm: float) -> None:
@@ -337,9 +351,15 @@ def _best_lean(camera: Camera, solution: Solution, radius: float) -> tuple[str, 
     steps = 90
     best = ("", math.inf)
     ways = {
-        "to the right": (1, 0), "to the left": (-1, 0), "down": (0, 1), "up": (0, -1), "down to the right": (0.7, 0.7),
-        "up to the left": (-0.7, -0.7), "up to the right": (0.7, -0.7), "down to the left": (-0.7, 0.7),
-    }  # fmt: skip
+        "to the right": (1, 0),
+        "to the left": (-1, 0),
+        "down": (0, 1),
+        "up": (0, -1),
+        "down to the right": (0.7, 0.7),
+        "up to the left": (-0.7, -0.7),
+        "up to the right": (0.7, -0.7),
+        "down to the left": (-0.7, 0.7),
+    }
     lean, stand = math.radians(LEAN_DEG), LEAN_SHIFT * radius
     for name, (right, down) in ways.items():
         pose = Pose(down * lean, -right * lean, -right * stand, -down * stand)
@@ -434,9 +454,7 @@ def _flipped(solution: Solution, last: Calibration) -> list[str]:
     before = np.array([[*ring.axis[:2], *np.array(ring.vertex_mm[:2]) / 50.0] for ring in last.rings])
     if now.shape != before.shape:
         return []
-    ways = {
-        "": (1, 1), "mirrored left to right": (-1, 1), "mirrored top to bottom": (1, -1), "upside down": (-1, -1)
-    }  # fmt: skip
+    ways = {"": (1, 1), "mirrored left to right": (-1, 1), "mirrored top to bottom": (1, -1), "upside down": (-1, -1)}
     off = {name: float(np.abs(now * np.tile(way, 2) - before).mean()) for name, way in ways.items()}
     nearest = min(off, key=lambda name: off[name])
     if nearest and off[""] > 0.003 and off[nearest] < 0.4 * off[""]:

@@ -175,16 +175,25 @@ def calibrate_target(
                     why[n] = "no slit on even paper"
         rows.append(
             TargetPair(
-                scan.frames[led].where, scan.frames[projector].where, 0 if view is None else len(view.cells), rms, tilt,
-                distance, 0, np.nan, why[n],
+                scan.frames[led].where,
+                scan.frames[projector].where,
+                0 if view is None else len(view.cells),
+                rms,
+                tilt,
+                distance,
+                0,
+                np.nan,
+                why[n],
             )
-        )  # fmt: skip
+        )
     if progress:
         progress("measuring rings", len(pairs), len(pairs))
     points = TargetPoints(
-        np.concatenate([p.target for p in parts]), np.concatenate([p.ring for p in parts]),
-        np.concatenate([p.inner_mm for p in parts]), np.concatenate([p.outer_mm for p in parts]),
-    )  # fmt: skip
+        np.concatenate([p.target for p in parts]),
+        np.concatenate([p.ring for p in parts]),
+        np.concatenate([p.inner_mm for p in parts]),
+        np.concatenate([p.outer_mm for p in parts]),
+    )
     fit = fit_cones(points, len(colours) - 1)
     for n in _moved(points, fit):
         why[n] = "its rings do not fit the other targets': moved between the two frames?"
@@ -197,10 +206,17 @@ def calibrate_target(
         off = fit.distance_mm[mine]
         done.append(
             TargetPair(
-                row.target, row.rings, row.corners, row.pose_px, row.tilt_deg, row.distance_mm, len(off),
-                float(np.sqrt(np.mean(off**2))) if len(off) else np.nan, why[n],
+                row.target,
+                row.rings,
+                row.corners,
+                row.pose_px,
+                row.tilt_deg,
+                row.distance_mm,
+                len(off),
+                float(np.sqrt(np.mean(off**2))) if len(off) else np.nan,
+                why[n],
             )
-        )  # fmt: skip
+        )
     return TargetCalibration(fit, points.ring, tuple(done), colours, _warnings(fit, done))
 
 

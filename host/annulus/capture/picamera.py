@@ -37,8 +37,13 @@ READ_OF = {"FrameDurationLimits": "FrameDuration"}  # a control that reads back 
 EXPOSURE_STEP_US = 60.0  # exposures are whole lines of the sensor
 
 # Picamera2 names a format by its channels in a little-endian word, hence the swap: its "RGB888" is B, G, R in memory.
-_PICTURES = {"RGB888": None, "BGR888": cv2.COLOR_RGB2BGR, "XRGB8888": cv2.COLOR_BGRA2BGR,
-             "XBGR8888": cv2.COLOR_RGBA2BGR, "YUV420": cv2.COLOR_YUV2BGR_I420}  # fmt: skip
+_PICTURES = {
+    "RGB888": None,
+    "BGR888": cv2.COLOR_RGB2BGR,
+    "XRGB8888": cv2.COLOR_BGRA2BGR,
+    "XBGR8888": cv2.COLOR_RGBA2BGR,
+    "YUV420": cv2.COLOR_YUV2BGR_I420,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,9 +214,16 @@ class _Taken:
 
 
 def configure(
-    camera: Any, size: tuple[int, int], *, stream: str, fps: float, exposure_us: float, gain: float,
-    colour_gains: tuple[float, float] | None, sensor_crop: tuple[int, int, int, int] | None = None,
-) -> PicameraCamera:  # fmt: skip
+    camera: Any,
+    size: tuple[int, int],
+    *,
+    stream: str,
+    fps: float,
+    exposure_us: float,
+    gain: float,
+    colour_gains: tuple[float, float] | None,
+    sensor_crop: tuple[int, int, int, int] | None = None,
+) -> PicameraCamera:
     """Settings of a Picamera2 object for this use: nothing automatic, the sensor mode pinned, all of it in force from
     the first frame on and read back.
 
@@ -222,23 +234,41 @@ def configure(
     period_us = round(1e6 / fps)
     known, bayer = camera.camera_controls, stream == "raw"
     told: dict[str, Any] = {
-        "AeEnable": False, "FrameDurationLimits": (period_us, period_us), "ExposureTime": round(exposure_us),
-        "AnalogueGain": gain, "AwbEnable": False, "ColourGains": colour_gains, "NoiseReductionMode": 0,
-        "Sharpness": 0.0, "Contrast": 1.0, "Saturation": 1.0, "Brightness": 0.0,
-    }  # fmt: skip
+        "AeEnable": False,
+        "FrameDurationLimits": (period_us, period_us),
+        "ExposureTime": round(exposure_us),
+        "AnalogueGain": gain,
+        "AwbEnable": False,
+        "ColourGains": colour_gains,
+        "NoiseReductionMode": 0,
+        "Sharpness": 0.0,
+        "Contrast": 1.0,
+        "Saturation": 1.0,
+        "Brightness": 0.0,
+    }
     told = {name: value for name, value in told.items() if name in known and value is not None}
     if bayer:
         mode = _mode_of(camera, size)
         small = (size[0] // 4 // 2 * 2, size[1] // 4 // 2 * 2)  # of what the ISP must make and nobody looks at
         asked = camera.create_video_configuration(
-            main={"size": small}, raw={"size": size, "format": mode}, buffer_count=BUFFERS, controls=told,
-            sensor={"output_size": size, "bit_depth": Mosaic.named(mode).bits}, display=None, encode=None,
-        )  # fmt: skip
+            main={"size": small},
+            raw={"size": size, "format": mode},
+            buffer_count=BUFFERS,
+            controls=told,
+            sensor={"output_size": size, "bit_depth": Mosaic.named(mode).bits},
+            display=None,
+            encode=None,
+        )
     else:
         asked = camera.create_video_configuration(
-            main={"size": size, "format": stream}, raw={"size": size}, buffer_count=BUFFERS, controls=told,
-            sensor={"output_size": size}, display=None, encode=None,
-        )  # fmt: skip
+            main={"size": size, "format": stream},
+            raw={"size": size},
+            buffer_count=BUFFERS,
+            controls=told,
+            sensor={"output_size": size},
+            display=None,
+            encode=None,
+        )
         asked["raw"] = None
     camera.configure(asked)
     got = camera.camera_configuration()

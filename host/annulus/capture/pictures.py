@@ -140,6 +140,11 @@ def _webp(data: bytes) -> _Size | None:
 
 
 _KINDS: dict[bytes, Callable[[bytes], _Size | None]] = {
-    b"\xff\xd8": _jpeg, b"\x89PNG\r\n\x1a\n": _png, b"BM": _bmp, b"II*\0": _tiff, b"MM\0*": _tiff, b"RIFF": _webp,
+    b"\xff\xd8": _jpeg,
+    b"\x89PNG\r\n\x1a\n": _png,
+    b"BM": _bmp,
+    b"II*\0": _tiff,
+    b"MM\0*": _tiff,
+    b"RIFF": _webp,
     **dict.fromkeys((b"P2", b"P3", b"P5", b"P6"), _pnm),
-}  # fmt: skip
+}

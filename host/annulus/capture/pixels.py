@@ -19,10 +19,14 @@ from annulus.numeric.arrays import Image
 _YUV = ("YU12", "YV12", "NV12", "NV21", "YUYV", "UYVY", "YVYU")
 _PACKED = {"YUYV": (0, 1, 3), "UYVY": (1, 0, 2), "YVYU": (0, 3, 1)}  # where Y, Cb and Cr begin in four bytes
 _FAST = {
-    "YU12": cv2.COLOR_YUV2BGR_I420, "YV12": cv2.COLOR_YUV2BGR_YV12, "NV12": cv2.COLOR_YUV2BGR_NV12,
-    "NV21": cv2.COLOR_YUV2BGR_NV21, "YUYV": cv2.COLOR_YUV2BGR_YUYV, "UYVY": cv2.COLOR_YUV2BGR_UYVY,
+    "YU12": cv2.COLOR_YUV2BGR_I420,
+    "YV12": cv2.COLOR_YUV2BGR_YV12,
+    "NV12": cv2.COLOR_YUV2BGR_NV12,
+    "NV21": cv2.COLOR_YUV2BGR_NV21,
+    "YUYV": cv2.COLOR_YUV2BGR_YUYV,
+    "UYVY": cv2.COLOR_YUV2BGR_UYVY,
     "YVYU": cv2.COLOR_YUV2BGR_YVYU,
-}  # fmt: skip
+}
 _MOSAICS = {"RGGB": "RGGB", "BA81": "BGGR", "GBRG": "GBRG", "GRBG": "GRBG"}
 _JPEG = ("MJPG", "JPEG")
 
@@ -34,14 +38,19 @@ ENCODINGS_OF = {
 """The fourcc that are read, and what they become."""
 
 _WEIGHTS = {  # of red and blue in luma
-    videodev.ENC_601: (0.299, 0.114), videodev.ENC_XV601: (0.299, 0.114),
-    videodev.ENC_709: (0.2126, 0.0722), videodev.ENC_XV709: (0.2126, 0.0722),
-    videodev.ENC_BT2020: (0.2627, 0.0593), videodev.ENC_SMPTE240M: (0.212, 0.087),
-}  # fmt: skip
+    videodev.ENC_601: (0.299, 0.114),
+    videodev.ENC_XV601: (0.299, 0.114),
+    videodev.ENC_709: (0.2126, 0.0722),
+    videodev.ENC_XV709: (0.2126, 0.0722),
+    videodev.ENC_BT2020: (0.2627, 0.0593),
+    videodev.ENC_SMPTE240M: (0.212, 0.087),
+}
 _USUAL = {
-    videodev.COLORSPACE_REC709: videodev.ENC_709, videodev.COLORSPACE_DCI_P3: videodev.ENC_709,
-    videodev.COLORSPACE_BT2020: videodev.ENC_BT2020, videodev.COLORSPACE_SMPTE240M: videodev.ENC_SMPTE240M,
-}  # fmt: skip
+    videodev.COLORSPACE_REC709: videodev.ENC_709,
+    videodev.COLORSPACE_DCI_P3: videodev.ENC_709,
+    videodev.COLORSPACE_BT2020: videodev.ENC_BT2020,
+    videodev.COLORSPACE_SMPTE240M: videodev.ENC_SMPTE240M,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +140,13 @@ def _matrix(red: float, blue: float, full: bool) -> np.ndarray:
     """(3, 4): Y, Cb, Cr and 1 to B, G, R."""
     luma, colour, black = (1.0, 1.0, 0.0) if full else (255 / 219, 255 / 224, 16.0)
     green = 1 - red - blue
-    rows = np.array([
-        [luma, 2 * (1 - blue) * colour, 0],
-        [luma, -2 * blue * (1 - blue) / green * colour, -2 * red * (1 - red) / green * colour],
-        [luma, 0, 2 * (1 - red) * colour],
-    ])  # fmt: skip
+    rows = np.array(
+        [
+            [luma, 2 * (1 - blue) * colour, 0],
+            [luma, -2 * blue * (1 - blue) / green * colour, -2 * red * (1 - red) / green * colour],
+            [luma, 0, 2 * (1 - red) * colour],
+        ]
+    )
     return np.column_stack([rows, -rows @ [black, 128.0, 128.0]])
 
 

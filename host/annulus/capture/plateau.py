@@ -121,21 +121,37 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
     tight = opens + _margin(opens_k2), closes - _margin(closes_k2)
     widest = tight[1] - tight[0]
     if widest <= 0.0:
-        raise AnnulusError(f"tune: no delay lights all rows alike: the last opens at {opens:.0f} us, the first closes "
-                           f"at {closes:.0f} us. Expose longer")  # fmt: skip
+        raise AnnulusError(
+            f"tune: no delay lights all rows alike: the last opens at {opens:.0f} us, the first closes "
+            f"at {closes:.0f} us. Expose longer"
+        )
     wide = min(width_us, np.floor(widest))
     delay = float(np.clip(delay_us, np.ceil(tight[0]), max(np.ceil(tight[0]), np.floor(tight[1] - wide))))
     seen_us = f"all rows see {opens:.0f}..{closes:.0f} us"
     said = f"head.toml says {timing.opens_us:.0f}..{timing.closes_us:.0f} us"
     kept = delay == delay_us and wide == width_us
     return Proposal(
-        delay, float(wide), opens, closes, opens_k2, closes_k2,
-        fit.readout if opens_k2 is not None or closes_k2 is not None else None, widest,
+        delay,
+        float(wide),
+        opens,
+        closes,
+        opens_k2,
+        closes_k2,
+        fit.readout if opens_k2 is not None or closes_k2 is not None else None,
+        widest,
         (timing.opens_us, timing.closes_us),
-        f"{seen_us}, {said}: " + ("the flash in force fits" if kept else "the flash in force does not fit"
-        if wide == width_us else f"no flash longer than {widest:.0f} us fits"),
-        fit.full, fit.black, fit.noise,
-    )  # fmt: skip
+        f"{seen_us}, {said}: "
+        + (
+            "the flash in force fits"
+            if kept
+            else "the flash in force does not fit"
+            if wide == width_us
+            else f"no flash longer than {widest:.0f} us fits"
+        ),
+        fit.full,
+        fit.black,
+        fit.noise,
+    )
 
 
 def confirmed(proposal: Proposal, tried: Reading) -> Proposal:
@@ -188,9 +204,14 @@ class _Fit:
         low = [-0.5 * self._period, 0.0, 0.0, 0.0]
         high = [self._period, 1.5 * self._period, self._period, float(light.min()) + 1.0]
         found = least_squares(
-            lambda x: self._residual(x).ravel(), np.clip(begin, np.add(low, 1e-6), np.subtract(high, 1e-6)),
-            bounds=(low, high), x_scale=[100.0, 100.0, 1000.0, 1.0], diff_step=1e-5, loss="soft_l1", f_scale=0.02,
-        )  # fmt: skip
+            lambda x: self._residual(x).ravel(),
+            np.clip(begin, np.add(low, 1e-6), np.subtract(high, 1e-6)),
+            bounds=(low, high),
+            x_scale=[100.0, 100.0, 1000.0, 1.0],
+            diff_step=1e-5,
+            loss="soft_l1",
+            f_scale=0.02,
+        )
         self._x = found.x
         residual = self._residual(found.x)
         self.misfit = float(np.sqrt(np.mean(residual**2)))

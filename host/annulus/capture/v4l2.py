@@ -187,9 +187,12 @@ class V4L2Camera(OneRequest):
         """Format and both sides in one call: a driver with a list of sizes takes none of them alone."""
         wanted = v4l2.Format(type=v4l2.CAPTURE)
         wanted.of.pix = v4l2.Pixels(
-            width=self.width, height=self.height, pixelformat=v4l2.number(self._fourcc), field=v4l2.FIELD_NONE,
+            width=self.width,
+            height=self.height,
+            pixelformat=v4l2.number(self._fourcc),
+            field=v4l2.FIELD_NONE,
             priv=v4l2.PRIV_MAGIC,
-        )  # fmt: skip
+        )
         try:
             got = device.call(v4l2.S_FMT, wanted).of.pix
         except OSError as error:

@@ -40,44 +40,72 @@ CTRL_FLAG_DISABLED = 0x1
 
 class Capability(Structure):
     _fields_ = (
-        ("driver", c_char * 16), ("card", c_char * 32), ("bus_info", c_char * 32), ("version", c_uint32),
-        ("capabilities", c_uint32), ("device_caps", c_uint32), ("reserved", c_uint32 * 3),
-    )  # fmt: skip
+        ("driver", c_char * 16),
+        ("card", c_char * 32),
+        ("bus_info", c_char * 32),
+        ("version", c_uint32),
+        ("capabilities", c_uint32),
+        ("device_caps", c_uint32),
+        ("reserved", c_uint32 * 3),
+    )
 
 
 class FormatDescription(Structure):
     _fields_ = (
-        ("index", c_uint32), ("type", c_uint32), ("flags", c_uint32), ("description", c_char * 32),
-        ("pixelformat", c_uint32), ("mbus_code", c_uint32), ("reserved", c_uint32 * 3),
-    )  # fmt: skip
+        ("index", c_uint32),
+        ("type", c_uint32),
+        ("flags", c_uint32),
+        ("description", c_char * 32),
+        ("pixelformat", c_uint32),
+        ("mbus_code", c_uint32),
+        ("reserved", c_uint32 * 3),
+    )
 
 
 class FrameSize(Structure):
     """kind 1: width, height. Others: from the first to the second by steps of the third, width then height."""
 
     _fields_ = (
-        ("index", c_uint32), ("pixelformat", c_uint32), ("kind", c_uint32), ("sides", c_uint32 * 6),
+        ("index", c_uint32),
+        ("pixelformat", c_uint32),
+        ("kind", c_uint32),
+        ("sides", c_uint32 * 6),
         ("reserved", c_uint32 * 2),
-    )  # fmt: skip
+    )
 
 
 class FrameInterval(Structure):
     """kind 1: one interval, numerator and denominator in seconds. Others: the first to the second."""
 
     _fields_ = (
-        ("index", c_uint32), ("pixelformat", c_uint32), ("width", c_uint32), ("height", c_uint32), ("kind", c_uint32),
-        ("fractions", c_uint32 * 6), ("reserved", c_uint32 * 2),
-    )  # fmt: skip
+        ("index", c_uint32),
+        ("pixelformat", c_uint32),
+        ("width", c_uint32),
+        ("height", c_uint32),
+        ("kind", c_uint32),
+        ("fractions", c_uint32 * 6),
+        ("reserved", c_uint32 * 2),
+    )
 
 
 class Pixels(Structure):
     _fields_ = tuple(
         (name, c_uint32)
         for name in (
-            "width", "height", "pixelformat", "field", "bytesperline", "sizeimage", "colorspace", "priv", "flags",
-            "ycbcr_enc", "quantization", "xfer_func",
+            "width",
+            "height",
+            "pixelformat",
+            "field",
+            "bytesperline",
+            "sizeimage",
+            "colorspace",
+            "priv",
+            "flags",
+            "ycbcr_enc",
+            "quantization",
+            "xfer_func",
         )
-    )  # fmt: skip
+    )
 
 
 class _FormatOf(Union):
@@ -92,16 +120,23 @@ class StreamParameters(Structure):
     """The frame interval is numerator / denominator seconds."""
 
     _fields_ = (
-        ("type", c_uint32), ("capability", c_uint32), ("mode", c_uint32), ("numerator", c_uint32),
-        ("denominator", c_uint32), ("raw", c_uint8 * 184),
-    )  # fmt: skip
+        ("type", c_uint32),
+        ("capability", c_uint32),
+        ("mode", c_uint32),
+        ("numerator", c_uint32),
+        ("denominator", c_uint32),
+        ("raw", c_uint8 * 184),
+    )
 
 
 class RequestBuffers(Structure):
     _fields_ = (
-        ("count", c_uint32), ("type", c_uint32), ("memory", c_uint32), ("capabilities", c_uint32),
+        ("count", c_uint32),
+        ("type", c_uint32),
+        ("memory", c_uint32),
+        ("capabilities", c_uint32),
         ("flags", c_uint32),
-    )  # fmt: skip
+    )
 
 
 class _BufferAt(Union):
@@ -110,10 +145,20 @@ class _BufferAt(Union):
 
 class Buffer(Structure):
     _fields_ = (
-        ("index", c_uint32), ("type", c_uint32), ("bytesused", c_uint32), ("flags", c_uint32), ("field", c_uint32),
-        ("seconds", c_long), ("microseconds", c_long), ("timecode", c_uint32 * 4), ("sequence", c_uint32),
-        ("memory", c_uint32), ("at", _BufferAt), ("length", c_uint32), ("reserved", c_uint32 * 2),
-    )  # fmt: skip
+        ("index", c_uint32),
+        ("type", c_uint32),
+        ("bytesused", c_uint32),
+        ("flags", c_uint32),
+        ("field", c_uint32),
+        ("seconds", c_long),
+        ("microseconds", c_long),
+        ("timecode", c_uint32 * 4),
+        ("sequence", c_uint32),
+        ("memory", c_uint32),
+        ("at", _BufferAt),
+        ("length", c_uint32),
+        ("reserved", c_uint32 * 2),
+    )
 
 
 class Control(Structure):
@@ -122,9 +167,16 @@ class Control(Structure):
 
 class ControlDescription(Structure):
     _fields_ = (
-        ("id", c_uint32), ("type", c_uint32), ("name", c_char * 32), ("minimum", c_int32), ("maximum", c_int32),
-        ("step", c_int32), ("usual", c_int32), ("flags", c_uint32), ("reserved", c_uint32 * 2),
-    )  # fmt: skip
+        ("id", c_uint32),
+        ("type", c_uint32),
+        ("name", c_char * 32),
+        ("minimum", c_int32),
+        ("maximum", c_int32),
+        ("step", c_int32),
+        ("usual", c_int32),
+        ("flags", c_uint32),
+        ("reserved", c_uint32 * 2),
+    )
 
 
 _READ, _WRITE = 2, 1

@@ -216,9 +216,15 @@ def _criteria(limits: Path | None) -> "Criteria | None":
 
 
 def _reconstruct_fringe_pipe(
-    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None",
-    printed: "Paper | None", told: Bars, as_json: bool,
-) -> None:  # fmt: skip
+    scan: Path,
+    calibration: Path | None,
+    out: Path,
+    sheet: "JobSheet",
+    criteria: "Criteria | None",
+    printed: "Paper | None",
+    told: Bars,
+    as_json: bool,
+) -> None:
     from annulus.record.origin import origin_of
     from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
@@ -232,14 +238,24 @@ def _reconstruct_fringe_pipe(
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
     account = Account(
-        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin,
+        str(scan),
+        counts,
+        drops,
+        found.timing_ms,
+        found.findings,
+        origin=origin,
         verdict=None if criteria is None else judge(found.survey, criteria),
-    )  # fmt: skip
+    )
     seen = found.map
     depth = {
-        "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
-        "at_least": seen.at_least, "light": seen.dc, "modulation": seen.modulation,
-    }  # fmt: skip
+        "phi_deg": seen.phi_deg,
+        "z_mm": seen.z_mm,
+        "radius_mm": seen.radius_mm,
+        "sigma_mm": seen.sigma_mm,
+        "at_least": seen.at_least,
+        "light": seen.dc,
+        "modulation": seen.modulation,
+    }
     summary = write(found.survey, account, out, depth=depth, paper=printed)
     if as_json:
         print(json.dumps(summary))
@@ -248,8 +264,8 @@ def _reconstruct_fringe_pipe(
 
 
 def _reconstruct_fringe(
-    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", told: Bars, as_json: bool,
-) -> None:  # fmt: skip
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", told: Bars, as_json: bool
+) -> None:
     from annulus.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus.report import Account, prepare_folder, write_plate
     from annulus.reprocess import open_fringe, reconstruct_fringe

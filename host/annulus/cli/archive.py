@@ -58,12 +58,16 @@ def add_command(
     if as_json:
         told = [
             {
-                "survey": one.row["survey"], "new": one.new, "superseded_by": one.superseded_by,
-                "supersedes": list(one.supersedes), "pipe": one.row["pipe"], "date": _plain(one.row["date"]),
+                "survey": one.row["survey"],
+                "new": one.new,
+                "superseded_by": one.superseded_by,
+                "supersedes": list(one.supersedes),
+                "pipe": one.row["pipe"],
+                "date": _plain(one.row["date"]),
                 "results": str(one.results),
             }
             for one in added
-        ]  # fmt: skip
+        ]
         print(json.dumps({"added": told, "refused": [{"results": str(o.results), "why": o.why} for o in refused]}))
     else:
         for one in added:
@@ -121,13 +125,19 @@ def list_command(
         head = ("survey", "pipe", "date", "site", "scanned", "diameter", "ovality", "defects", "joints and more", "")
         table = [
             (
-                row["survey"], row["pipe"] or "-", str(row["date"] or "-"), row["site"] or "-",
-                known(row["scanned_to_mm"] - row["scanned_from_mm"], DISTANCE), known(row["diameter_mean_mm"], MEASURE),
-                known(row["shape_ovality_f1216_percent"], PERCENT), str(row["defect_count"]), str(row["feature_count"]),
+                row["survey"],
+                row["pipe"] or "-",
+                str(row["date"] or "-"),
+                row["site"] or "-",
+                known(row["scanned_to_mm"] - row["scanned_from_mm"], DISTANCE),
+                known(row["diameter_mean_mm"], MEASURE),
+                known(row["shape_ovality_f1216_percent"], PERCENT),
+                str(row["defect_count"]),
+                str(row["feature_count"]),
                 f"superseded by {row['superseded_by']}" if row["superseded_by"] else row["decision"] or "",
             )
             for row in rows
-        ]  # fmt: skip
+        ]
         print("\n".join(_aligned(head, table)))
         print(
             f"{len(rows)} survey{'s' * (len(rows) != 1)}"

@@ -57,15 +57,23 @@ def detect_command(
     others = [_told(one) for one in account.indications if one not in account.bores]
     files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
     summary: dict[str, Any] = {
-        "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm, "ends_mm": account.ends_mm,
-        "water_told_mm": account.water_told_mm, "wanders": account.wanders,
-        "rows_without_reading": grid.unread, "spikes": grid.spikes,
+        "log": str(log),
+        "length_mm": account.length_mm,
+        "unseen_mm": account.unseen_mm,
+        "ends_mm": account.ends_mm,
+        "water_told_mm": account.water_told_mm,
+        "wanders": account.wanders,
+        "rows_without_reading": grid.unread,
+        "spikes": grid.spikes,
         "gaps": [
             {"sectors": list(gap.sectors), "from_mm": gap.from_mm, "to_mm": gap.to_mm, "why": str(gap.why)}
             for gap in account.gaps
         ],
-        "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
-    }  # fmt: skip
+        "lift_off_ff_per_mm": grid.lift_ff_mm,
+        "bores": bores,
+        "others": others,
+        "files": [str(f) for f in files],
+    }
     if as_json:
         print(json.dumps(summary, allow_nan=False))
         return
@@ -82,9 +90,11 @@ def detect_command(
         print(f"no reading {gap}")
     for one in account.indications:
         sure = f", {100 * likely(one):.0f} %" if one.odds else ""
-        way = "all round" if not math.isfinite(one.phi_deg) else (
-            f"{one.phi_deg:.0f} deg ({clock(one.phi_deg)}), k=2 {2 * one.phi_sigma_deg:.0f} deg"
-        )  # fmt: skip
+        way = (
+            "all round"
+            if not math.isfinite(one.phi_deg)
+            else (f"{one.phi_deg:.0f} deg ({clock(one.phi_deg)}), k=2 {2 * one.phi_sigma_deg:.0f} deg")
+        )
         print(f"{one.kind:<10} at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {way}{sure}")
     if not account.bores:
         print("bores      none of those that can be told here")
@@ -151,15 +161,23 @@ def model_command(
         print(json.dumps({**told, "files": [str(file) for file in files]}))
         return
     along, off = told["along"], told["along_shield_off"]
-    print(f"circuit    differential {told['swing_ff']:+.0f} fF from air to soil, single-ended mutual "
-          f"{1000 * (along['soil']['mutual_pf'] - along['air']['mutual_pf']):+.0f} fF")  # fmt: skip
-    print(f"shield     {along['air']['differential_pf']:.2f} pF stand in air, {off['air']['differential_pf']:.2f} pF "
-          "with the shield at earth")  # fmt: skip
-    print(f"depth      half of the swing within {told['half_depth_mm']:.1f} mm of the wall "
-          f"(prototype's {told['half_depth_prototype_mm']:g} mm)")  # fmt: skip
+    print(
+        f"circuit    differential {told['swing_ff']:+.0f} fF from air to soil, single-ended mutual "
+        f"{1000 * (along['soil']['mutual_pf'] - along['air']['mutual_pf']):+.0f} fF"
+    )
+    print(
+        f"shield     {along['air']['differential_pf']:.2f} pF stand in air, {off['air']['differential_pf']:.2f} pF "
+        "with the shield at earth"
+    )
+    print(
+        f"depth      half of the swing within {told['half_depth_mm']:.1f} mm of the wall "
+        f"(prototype's {told['half_depth_prototype_mm']:g} mm)"
+    )
     lift = told["lift"]
-    print(f"lift       {lift['off_mm']:g} mm off the axis is {100 * lift['of_swing']:.0f} % of the swing "
-          f"(prototype's {100 * lift['of_swing_prototype']:.0f} %)")  # fmt: skip
+    print(
+        f"lift       {lift['off_mm']:g} mm off the axis is {100 * lift['of_swing']:.0f} % of the swing "
+        f"(prototype's {100 * lift['of_swing_prototype']:.0f} %)"
+    )
     for row in told["bores"]:
         measured = ""
         if "prototype_ff" in row:
@@ -172,9 +190,11 @@ def model_command(
 
 def _told(one: Any) -> dict[str, Any]:
     said: dict[str, Any] = {
-        "odometer_mm": round(one.odometer_mm, 1), "kind": str(one.kind), "extent_mm": round(one.extent_mm, 1),
+        "odometer_mm": round(one.odometer_mm, 1),
+        "kind": str(one.kind),
+        "extent_mm": round(one.extent_mm, 1),
         "change_ff": [round(float(v), 1) for v in one.change_ff],
-    }  # fmt: skip
+    }
     if math.isfinite(one.phi_deg):
         said |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
     if math.isfinite(one.speed_mm_s[0]):

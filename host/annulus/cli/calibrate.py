@@ -44,8 +44,7 @@ def camera(
         ),
     ] = None,
     second: Annotated[
-        Path | None,
-        typer.Option(help="Folder of photographs by the head's second camera, taken at the same moments."),
+        Path | None, typer.Option(help="Folder of photographs by the head's second camera, taken at the same moments.")
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw what the lens is worth. [default: FILE.camera.png]")

@@ -62,20 +62,34 @@ def correlate_command(
     search = Search(within_deg, senses=SENSES[sense])
     relations = correlate(curves, strengths, search)
     told: dict[str, Any] = {
-        "strengths": str(strength), "n": len(angles), "angle_deg": angles, "energy_j": energies,
-        "within_deg": within_deg, "sense_sought": sense.value, "mean_deg": mean_deg, "level": LEVEL,
+        "strengths": str(strength),
+        "n": len(angles),
+        "angle_deg": angles,
+        "energy_j": energies,
+        "within_deg": within_deg,
+        "sense_sought": sense.value,
+        "mean_deg": mean_deg,
+        "level": LEVEL,
         "features": {
             one.name: {
-                "r": one.r, "shift_deg": one.shift_deg, "sense": one.sense, "p": one.p, "p_all": one.p_all,
-                "least_p": one.least_p, "p_rotated": one.p_rotated, "least_p_rotated": one.least_p_rotated,
-                "ordinary_p": one.ordinary_p, "related": one.related,
-                "distance_correlation": one.distance, "distance_p": one.distance_p,
+                "r": one.r,
+                "shift_deg": one.shift_deg,
+                "sense": one.sense,
+                "p": one.p,
+                "p_all": one.p_all,
+                "least_p": one.least_p,
+                "p_rotated": one.p_rotated,
+                "least_p_rotated": one.least_p_rotated,
+                "ordinary_p": one.ordinary_p,
+                "related": one.related,
+                "distance_correlation": one.distance,
+                "distance_p": one.distance_p,
                 "told_if_r_0.8": power(curves[one.name], angles, search),
                 "told_if_r_0.8_known_zero": power(curves[one.name], angles, Search(0.0, senses=(1,))),
             }
             for one in relations
         },
-    }  # fmt: skip
+    }
     for one in told["features"].values():
         one["verdict"] = _verdict(one, LEVEL)
     files = write_correlation(folder, told, curves, {one.name: one.chance for one in relations})
@@ -140,14 +154,22 @@ def transmission_command(
         raise AnnulusError(str(error) if str(folder) in str(error) else f"{lines}: {error}") from None
     inside = found.inside
     told: dict[str, Any] = {
-        "lines": str(lines), "units": "mm, degrees, absorbance to base e", "dogbone_deg": angles.tolist(),
-        "shift_mm": found.shift_mm, "shift_sigma_mm": found.shift_sigma_mm, "joint_mm": list(found.joint_mm),
-        "depth": found.depth, "depth_sigma": found.depth_sigma,
-        "gradient_per_mm": np.abs(found.gradient[:, inside]).max(axis=1), "plain_gradient_per_mm": found.plain_gradient,
-        "deviation": found.deviation[:, inside].max(axis=1), "plain_deviation": found.plain_deviation,
-        "alpha_per_mm": found.alpha, "alpha_sigma_per_mm": found.alpha_sigma,
+        "lines": str(lines),
+        "units": "mm, degrees, absorbance to base e",
+        "dogbone_deg": angles.tolist(),
+        "shift_mm": found.shift_mm,
+        "shift_sigma_mm": found.shift_sigma_mm,
+        "joint_mm": list(found.joint_mm),
+        "depth": found.depth,
+        "depth_sigma": found.depth_sigma,
+        "gradient_per_mm": np.abs(found.gradient[:, inside]).max(axis=1),
+        "plain_gradient_per_mm": found.plain_gradient,
+        "deviation": found.deviation[:, inside].max(axis=1),
+        "plain_deviation": found.plain_deviation,
+        "alpha_per_mm": found.alpha,
+        "alpha_sigma_per_mm": found.alpha_sigma,
         "thickness_taken_out": bool(zero_deg is not None and found.thickness_out),
-    }  # fmt: skip
+    }
     if strength is not None:
         at, energy = read_strengths(strength)
         same = np.abs((at[None, :] - angles[:, None] + 180) % 360 - 180) < ANGLE_AGREES_DEG
@@ -210,10 +232,19 @@ def strip_command(
             raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
     agree(ct, volume, volume.wall_mm, found.wall_mm, "the wall", WALL_AGREES)
     told: dict[str, Any] = {
-        "ct": str(ct), "voxel_mm": list(volume.voxel_mm), "W_mm": found.w_mm, "W_sigma_mm": found.w_sigma_mm,
-        "T_mm": found.t_mm, "T_sigma_mm": found.t_sigma_mm, "wall_mm": found.wall_mm, "width_mm": found.width_mm,
-        "haz": found.haz, "haz_sigma": found.haz_sigma, "lean_deg": found.lean_deg, "joint_mm": found.joint_mm,
-    }  # fmt: skip
+        "ct": str(ct),
+        "voxel_mm": list(volume.voxel_mm),
+        "W_mm": found.w_mm,
+        "W_sigma_mm": found.w_sigma_mm,
+        "T_mm": found.t_mm,
+        "T_sigma_mm": found.t_sigma_mm,
+        "wall_mm": found.wall_mm,
+        "width_mm": found.width_mm,
+        "haz": found.haz,
+        "haz_sigma": found.haz_sigma,
+        "lean_deg": found.lean_deg,
+        "joint_mm": found.joint_mm,
+    }
     files = write_strip(out, told, found.z_mm, found.across_mm, found.section)
     if as_json:
         print((out / "strip.json").read_text())
@@ -307,15 +338,29 @@ def classify_command(
         found = leave_one_out(values, good, pipe, angles)
     except AnnulusError as error:
         raise AnnulusError(f"{dogbones}: {error}") from None
-    verdict = "told" if found.p <= LEVEL else (
-        "cannot be told, whatever had come out: too few joints" if found.least_p > LEVEL else "not told from chance"
-    )  # fmt: skip
+    verdict = (
+        "told"
+        if found.p <= LEVEL
+        else (
+            "cannot be told, whatever had come out: too few joints" if found.least_p > LEVEL else "not told from chance"
+        )
+    )
     told: dict[str, Any] = {
-        "dogbones": str(dogbones), "features": names, "mean_deg": mean_deg, "joints": folders, "joint": joints,
-        "angle_deg": angles, "good": good.tolist(), "values": values, "called_good": found.called_good,
-        "accuracy": found.accuracy, "balanced": found.balanced, "p": found.p,
-        "least_p": found.least_p, "verdict": verdict,
-    }  # fmt: skip
+        "dogbones": str(dogbones),
+        "features": names,
+        "mean_deg": mean_deg,
+        "joints": folders,
+        "joint": joints,
+        "angle_deg": angles,
+        "good": good.tolist(),
+        "values": values,
+        "called_good": found.called_good,
+        "accuracy": found.accuracy,
+        "balanced": found.balanced,
+        "p": found.p,
+        "least_p": found.least_p,
+        "verdict": verdict,
+    }
     files = write_clusters(out, told)
     if as_json:
         print((out / "clusters.json").read_text())

@@ -26,8 +26,7 @@ class To(StrEnum):
 def export(
     results: Annotated[Path, typer.Argument(help="Folder that `annulus reconstruct` wrote.")],
     to: Annotated[
-        list[To] | None,
-        typer.Option("--to", help="What to write, again for more; all: each whose packages are there."),
+        list[To] | None, typer.Option("--to", help="What to write, again for more; all: each whose packages are there.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for the files. [default: RESULTS/export]")

@@ -86,12 +86,7 @@ def flash(
         require_ours(image)
     with progress() as bars:
         done = update.flash(
-            image,
-            port=port,
-            board=serial,
-            drive=drive,
-            progress=bars,
-            say=lambda line: typer.echo(line, err=True),
+            image, port=port, board=serial, drive=drive, progress=bars, say=lambda line: typer.echo(line, err=True)
         )
     print_fields(asdict(done), as_json)
 

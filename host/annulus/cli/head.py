@@ -71,10 +71,14 @@ def configure(
         if width_us != 0:
             mode.check_flash(delay_us, width_us, lamp)
     stage = stage_from_us(
-        ratio=ratio, period_us=mode.period_us, exposure_us=mode.exposure_us, readout_us=mode.readout_us,
-        projector_us=(projector_delay_us, projector_width_us), led_us=(led_delay_us, led_width_us),
+        ratio=ratio,
+        period_us=mode.period_us,
+        exposure_us=mode.exposure_us,
+        readout_us=mode.readout_us,
+        projector_us=(projector_delay_us, projector_width_us),
+        led_us=(led_delay_us, led_width_us),
         tolerance_permille=tolerance,
-    )  # fmt: skip
+    )
     print_fields(operate.configure(port, stage, pins), as_json)
 
 
@@ -145,10 +149,7 @@ def clear(port: Port) -> None:
 )
 def burst(
     port: Port,
-    code: Annotated[
-        str,
-        typer.Option(help=f"{', '.join(CODES)}, or a text of 0 and 1."),
-    ],
+    code: Annotated[str, typer.Option(help=f"{', '.join(CODES)}, or a text of 0 and 1.")],
     chip_us: Annotated[float, typer.Option(help="Length of a chip, us.")] = 0.5,
     repeat: Annotated[int, typer.Option(help="Bursts.")] = 1,
     period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,

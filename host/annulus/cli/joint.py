@@ -198,30 +198,41 @@ def register_command(
         raise AnnulusError(f"{folder / 'features.json'}: phi_deg or zj, expected as in maps.npz")
     angle, z, channels = read_raster(raster)
     surface = Surface(
-        maps["z_mm"], maps["bead_out_mm"], maps["density"],
-        float(np.mean(maps["outer_mm"] - maps["bead_out_mm"])), float(np.mean(curves["zj"])),
-    )  # fmt: skip
+        maps["z_mm"],
+        maps["bead_out_mm"],
+        maps["density"],
+        float(np.mean(maps["outer_mm"] - maps["bead_out_mm"])),
+        float(np.mean(curves["zj"])),
+    )
     try:
         placed = place(Raster(np.radians(angle), z, np.stack(list(channels.values()))), surface)
     except AnnulusError as error:
         raise AnnulusError(f"{raster}: {error}") from None
     told: dict[str, Any] = {
-        "raster": str(raster), "accepted": placed.accepted, "why_not": placed.why,
-        "shift_deg": float(np.degrees(placed.shift)), "shift_sigma_deg": float(np.degrees(placed.shift_sigma)),
-        "sense": SENSE_NAMES[placed.sense], "sense_along": SENSE_NAMES[placed.along],
-        "best_sense": SENSE_NAMES[placed.best_sense], "best_sense_along": SENSE_NAMES[placed.best_along],
+        "raster": str(raster),
+        "accepted": placed.accepted,
+        "why_not": placed.why,
+        "shift_deg": float(np.degrees(placed.shift)),
+        "shift_sigma_deg": float(np.degrees(placed.shift_sigma)),
+        "sense": SENSE_NAMES[placed.sense],
+        "sense_along": SENSE_NAMES[placed.along],
+        "best_sense": SENSE_NAMES[placed.best_sense],
+        "best_sense_along": SENSE_NAMES[placed.best_along],
         "as_likely": [
             {"sense": SENSE_NAMES[sense], "sense_along": SENSE_NAMES[along], "shift_deg": float(np.degrees(shift))}
             for sense, along, shift in placed.others
         ],
-        "joint_at_raster_z_mm": placed.raster_joint_mm, "joint_at_raster_z_sigma_mm": placed.raster_joint_sigma_mm,
+        "joint_at_raster_z_mm": placed.raster_joint_mm,
+        "joint_at_raster_z_sigma_mm": placed.raster_joint_sigma_mm,
         "blur_sigma_mm": {"round": placed.blur_mm[0], "along": placed.blur_mm[1]},
-        "explained": placed.explained, "p": placed.p, "log_odds_of_angle": placed.odds,
+        "explained": placed.explained,
+        "p": placed.p,
+        "log_odds_of_angle": placed.odds,
         "gains": {
             name: dict(zip(("bead_mv_per_mm", "density_mv", "bead_and_lift_per_mm"), gains.tolist(), strict=True))
             for name, gains in zip(channels, placed.gains, strict=True)
         },
-    }  # fmt: skip
+    }
     laid = {
         f"{part}_{name}": one
         for part, both in (("joint", placed.joint_mv), ("material", placed.material_mv))

@@ -35,9 +35,10 @@ def _page(manual: Path, topic: str | None) -> Path:
     if topic is None:
         return manual / "index.html"
     pages = sorted(
-        path for path in manual.rglob("*.html") if not path.is_relative_to(manual / "_static")
-        and path.stem not in ("genindex", "search", "py-modindex")
-    )  # fmt: skip
+        path
+        for path in manual.rglob("*.html")
+        if not path.is_relative_to(manual / "_static") and path.stem not in ("genindex", "search", "py-modindex")
+    )
     names = {path.relative_to(manual).with_suffix("").as_posix().removeprefix("manual/"): path for path in pages}
     wanted = topic.lower().removesuffix(".html")
     exact = [path for name, path in names.items() if wanted in (name.lower(), name.rpartition("/")[2].lower())]

@@ -160,9 +160,16 @@ def _diameters(text: str) -> tuple[float, float]:
 
 
 def _fringe(
-    pipe_mm: str, period_mm: float | None, distance_mm: float | None, inner_deg: float | None, outer_deg: float | None,
-    focal_mm: float | None, defocus_mm: float, out: Path, as_json: bool,
-) -> None:  # fmt: skip
+    pipe_mm: str,
+    period_mm: float | None,
+    distance_mm: float | None,
+    inner_deg: float | None,
+    outer_deg: float | None,
+    focal_mm: float | None,
+    defocus_mm: float,
+    out: Path,
+    as_json: bool,
+) -> None:
     from annulus.calibrate.fringe_slide import write_ring_slide
     from annulus.fringe import ring_slide
 
@@ -172,17 +179,21 @@ def _fringe(
             "wall, where the projector stands behind the camera, its field, the slide's lens"
         )
     least, most = _diameters(pipe_mm)
-    slide = ring_slide(
-        (least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm
-    )  # fmt: skip
+    slide = ring_slide((least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm)
     written = write_ring_slide(slide, out)
     edges = np.array([slide.inner_mm, slide.outer_mm])
     left = [round(float(one), 3) for one in slide.modulation(edges)]
     told = {
-        "kind": "fringe", "rings": slide.rings, "period_mm": period_mm, "pipe_diameter_mm": (least + most) / 2,
-        "radii_mm": edges.tolist(), "finest_mm": slide.finest_mm, "modulation": left, "ahead_mm": list(slide.wall_mm),
+        "kind": "fringe",
+        "rings": slide.rings,
+        "period_mm": period_mm,
+        "pipe_diameter_mm": (least + most) / 2,
+        "radii_mm": edges.tolist(),
+        "finest_mm": slide.finest_mm,
+        "modulation": left,
+        "ahead_mm": list(slide.wall_mm),
         "files": [str(path) for path in written],
-    }  # fmt: skip
+    }
     if as_json:
         print(json.dumps(told))
         return
@@ -217,10 +228,13 @@ def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:
         seen = worst < 1e6
         told.append(
             {
-                "diameter_mm": 2 * pipe.radius_mm, "covered": pipe.is_covered, "worst_direction_deg": at,
-                "worst_sigma_mm": worst if seen else None, "ahead_mm": pipe.ahead_mm.tolist(),
+                "diameter_mm": 2 * pipe.radius_mm,
+                "covered": pipe.is_covered,
+                "worst_direction_deg": at,
+                "worst_sigma_mm": worst if seen else None,
+                "ahead_mm": pipe.ahead_mm.tolist(),
             }
-        )  # fmt: skip
+        )
         if not as_json:
             print(
                 f"pipe       {2 * pipe.radius_mm:g} mm: {'covered' if pipe.is_covered else 'NOT covered'}; worst at "

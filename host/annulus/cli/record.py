@@ -159,9 +159,15 @@ def export_command(
             exported = export_folder(recording, out, form or "png", bars)
             frames, without_place, damaged = exported.frames, exported.without_place, exported.damaged
     print_fields(
-        {"out": str(out), "frames": frames, "without_place": without_place, "frames_damaged": len(damaged),
-         "torn": recording.torn}, as_json,
-    )  # fmt: skip
+        {
+            "out": str(out),
+            "frames": frames,
+            "without_place": without_place,
+            "frames_damaged": len(damaged),
+            "torn": recording.torn,
+        },
+        as_json,
+    )
     lacks += damaged
     _print_missing(scan, lacks + missing_told(recording))
     if lacks or recording.torn:
@@ -217,9 +223,16 @@ def import_command(
             video, out, chainage=table, speed_mm_s=speed, fps=fps, first=first, last=last, every=every, progress=bars
         )
     print_fields(
-        {"scan": str(out), "frames": made.frames, "z_mm": list(made.z_mm), "without_place": made.without_place,
-         "missing": made.missing, "pixel_aspect": made.aspect}, as_json,
-    )  # fmt: skip
+        {
+            "scan": str(out),
+            "frames": made.frames,
+            "z_mm": list(made.z_mm),
+            "without_place": made.without_place,
+            "missing": made.missing,
+            "pixel_aspect": made.aspect,
+        },
+        as_json,
+    )
     if made.aspect != 1.0:
         print(
             f"annulus: {video}: its pixels are {made.aspect:.4g} times as wide as high; the pictures were stretched to "

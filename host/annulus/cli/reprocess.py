@@ -39,10 +39,7 @@ class _With:
 
 
 def reprocess(
-    scans: Annotated[
-        list[str],
-        typer.Argument(metavar="SCANS..", help="Scan folders or recordings, or URLs of them."),
-    ],
+    scans: Annotated[list[str], typer.Argument(metavar="SCANS..", help="Scan folders or recordings, or URLs of them.")],
     out: Annotated[str, typer.Option("--out", "-o", metavar="PLACE", help="Folder or URL; a folder in it a scan.")],
     engine: Annotated[
         Engine, typer.Option(help="local: processes of this machine. dask: workers of the scheduler named.")
@@ -193,6 +190,10 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     done = surveyed(work, place, executor, WindowFiles(told, place), bars, keep=True)
     write_results(done, told, place)
     return {
-        "ok": not done.left_out, "results": str(place), "ranges": done.ranges, "made": done.made,
-        "left_out": done.left_out, "why": f"{scan}: {done.findings[0].text}" if done.left_out else None,
-    }  # fmt: skip
+        "ok": not done.left_out,
+        "results": str(place),
+        "ranges": done.ranges,
+        "made": done.made,
+        "left_out": done.left_out,
+        "why": f"{scan}: {done.findings[0].text}" if done.left_out else None,
+    }

@@ -40,9 +40,13 @@ class Told:
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
         return Account(
-            self.source, origin=self.origin, verdict=verdict, photographs=pictures,
-            covariance_stated=job.calibration.covariance is not None, **counted,
-        )  # fmt: skip
+            self.source,
+            origin=self.origin,
+            verdict=verdict,
+            photographs=pictures,
+            covariance_stated=job.calibration.covariance is not None,
+            **counted,
+        )
 
     def within(self, first_mm: float, last_mm: float) -> "Told":
         """The same of a stretch: what an operator marked elsewhere is left out."""

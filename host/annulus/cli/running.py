@@ -14,16 +14,14 @@ if TYPE_CHECKING:
 PARTS = 2  # of an address: topics and requests
 
 At = Annotated[
-    str | None,
-    typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses, as head.toml has them."),
+    str | None, typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses, as head.toml has them.")
 ]
 Config = Annotated[Path | None, typer.Option(help="The daemon's head.toml, where it is on this machine.")]
 KeyFile = Annotated[
     Path | None, typer.Option(help="This console's secret CURVE key, as head.toml's key_file is the daemon's.")
 ]
 DaemonKey = Annotated[
-    str | None,
-    typer.Option(metavar="KEY[,KEY]", help="The daemon's public CURVE key, or those of its two sockets."),
+    str | None, typer.Option(metavar="KEY[,KEY]", help="The daemon's public CURVE key, or those of its two sockets.")
 ]
 
 

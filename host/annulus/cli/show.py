@@ -45,9 +45,11 @@ def progress(how: Bars = Bars.BAR) -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
 
     columns = (
-        rich.TextColumn("{task.description:<24}"), rich.BarColumn(), rich.MofNCompleteColumn(),
+        rich.TextColumn("{task.description:<24}"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
         rich.TimeRemainingColumn(),
-    )  # fmt: skip
+    )
     bars = rich.Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
     tasks: dict[str, Any] = {}
 

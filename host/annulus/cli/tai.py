@@ -51,9 +51,20 @@ def simulate_command(
     from annulus.thermoacoustic.phantoms import smallest_mm
 
     setup = Setup(
-        code, 1e-6 * chip_us, radius_mm, positions, 1e6 * rate_mhz, sound_speed, 1.0, noise, averages,
-        (1e6 * band_mhz, bandwidth) if band_mhz else None, aperture_mm, spike, seed,
-    )  # fmt: skip
+        code,
+        1e-6 * chip_us,
+        radius_mm,
+        positions,
+        1e6 * rate_mhz,
+        sound_speed,
+        1.0,
+        noise,
+        averages,
+        (1e6 * band_mhz, bandwidth) if band_mhz else None,
+        aperture_mm,
+        spike,
+        seed,
+    )
     for warning in confinement(smallest_mm(named(phantom)), 1e-6 * chip_us, sound_speed).warnings:
         print(f"warning    {warning}")
     with progress() as report:
@@ -120,9 +131,21 @@ def acquire_command(
     if twin == (port is not None or scope is not None) or (port is None) != (scope is None):
         raise AnnulusError("give --port and --scope, or --twin alone")
     plan = Plan(
-        code, chip_us, angles, averages, period_us, trigger_offset_us, radius_mm, sound_speed, rate_mhz, duration_us,
-        range_v, steps_per_turn, step_us, encoder,
-    )  # fmt: skip
+        code,
+        chip_us,
+        angles,
+        averages,
+        period_us,
+        trigger_offset_us,
+        radius_mm,
+        sound_speed,
+        rate_mhz,
+        duration_us,
+        range_v,
+        steps_per_turn,
+        step_us,
+        encoder,
+    )
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
@@ -247,12 +270,17 @@ def image_command(
     if search is not None and sound_speed is not None:
         raise AnnulusError("--search and --sound-speed: give one of them")
     settings = ImageSettings(
-        method, pixel_mm, sound_speed, search,  # type: ignore[arg-type]
+        method,  # type: ignore[arg-type]
+        pixel_mm,
+        sound_speed,
+        search,
         (1e6 * band[0], 1e6 * band[1]) if band else None,
         sound,  # type: ignore[arg-type]
         Region(*region) if region else None,
-        object_radius_mm, refine, nonnegative,
-    )  # fmt: skip
+        object_radius_mm,
+        refine,
+        nonnegative,
+    )
     with progress() as report:
         result = make_image(source, out, settings, template, report)
     if as_json:

@@ -73,8 +73,11 @@ def _show(found: "list[Tuned]", applied: bool, json_: bool) -> None:
     if not found:
         return
     if json_:
-        print(json.dumps({"lamps": proposed, "applied": applied,
-                          "found": {one.lamp: one.proposal.to_dict() for one in found}}))  # fmt: skip
+        print(
+            json.dumps(
+                {"lamps": proposed, "applied": applied, "found": {one.lamp: one.proposal.to_dict() for one in found}}
+            )
+        )
         return
     for one in found:
         print("\n".join([*one.remarks, "", *picture(one), ""]))

@@ -40,8 +40,10 @@ def configure(
 
     switches = TurntableFlag(0)
     for there, flag in (
-        (end_low, TurntableFlag.END_LOW), (end_high, TurntableFlag.END_HIGH), (end_hard, TurntableFlag.END_HARD),
-    ):  # fmt: skip
+        (end_low, TurntableFlag.END_LOW),
+        (end_high, TurntableFlag.END_HIGH),
+        (end_hard, TurntableFlag.END_HARD),
+    ):
         switches |= flag if there else TurntableFlag(0)
     print_fields(
         operate.configure_turntable(

@@ -52,9 +52,17 @@ def run(
     from annulus.twin.head import run_head
 
     run_head(
-        fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m,
-        pins=wired, trigger=takes,
-    )  # fmt: skip
+        fps=fps,
+        seed=seed,
+        faults=faults,
+        board=board,
+        roll_deg=roll_deg,
+        out=out,
+        head=head,
+        buried_m=buried_m,
+        pins=wired,
+        trigger=takes,
+    )
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")

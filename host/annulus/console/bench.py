@@ -68,10 +68,15 @@ def frame_timing(asked: Mapping[str, Any]) -> dict[str, Any]:
     fps, exposure_us, readout_us = (_number(asked, name) for name in ("fps", "exposure_us", "readout_us"))
     mode = FrameTiming(fps, exposure_us, readout_us)
     out: dict[str, Any] = {
-        "period_us": mode.period_us, "opens_us": mode.opens_us, "closes_us": mode.closes_us, "fits": None,
+        "period_us": mode.period_us,
+        "opens_us": mode.opens_us,
+        "closes_us": mode.closes_us,
+        "fits": None,
         "first_row_us": [mode.closes_us - mode.exposure_us, mode.closes_us],
-        "last_row_us": [mode.opens_us, mode.period_us], "window": mode.exposure_us > mode.readout_us, "why": "",
-    }  # fmt: skip
+        "last_row_us": [mode.opens_us, mode.period_us],
+        "window": mode.exposure_us > mode.readout_us,
+        "why": "",
+    }
     flash = [None if asked.get(name) is None else _number(asked, name) for name in ("delay_us", "width_us")]
     try:
         mode.check_window()
@@ -97,9 +102,20 @@ def burst_arguments(asked: Mapping[str, Any]) -> list[str]:
         for name in ("chip_us", "period_us", "trigger_offset_us")
     )
     return [
-        "burst", "show", "--repeat", str(repeat), "--chip-us", chip, "--period-us", period,
-        "--trigger-offset-us", offset, "--json", "--", code,
-    ]  # fmt: skip
+        "burst",
+        "show",
+        "--repeat",
+        str(repeat),
+        "--chip-us",
+        chip,
+        "--period-us",
+        period,
+        "--trigger-offset-us",
+        offset,
+        "--json",
+        "--",
+        code,
+    ]
 
 
 def job_fields() -> list[dict[str, Any]]:
@@ -142,9 +158,12 @@ def _number(asked: Mapping[str, Any], name: str) -> float:
 async def _show(command: Sequence[str], arguments: Sequence[str]) -> tuple[Mapping[str, Any] | None, str]:
     """What the child drew, and what it refused."""
     child = await asyncio.create_subprocess_exec(
-        *command, *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+        *command,
+        *arguments,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+    )
     try:
         out, error = await asyncio.wait_for(child.communicate(), BURST_S)
     except TimeoutError:

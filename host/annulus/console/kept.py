@@ -71,12 +71,14 @@ class WallPart:
         if len(part) != 2 * columns * count:
             raise ValueError(f"wall: {len(part)} bytes, expected {2 * columns * count}")
         return cls(
-            of, untrusted.whole(told.get("scan"), "wall: scan", 0, 2**32 - 1),
+            of,
+            untrusted.whole(told.get("scan"), "wall: scan", 0, 2**32 - 1),
             untrusted.whole(told.get("first"), "wall: first", -(2**30), 2**30),
             untrusted.within(told.get("step_mm"), "wall: step_mm", 1e-3, 1e6),
-            untrusted.within(told.get("radius_mm"), "wall: radius_mm", 1.0, 1e4), columns,
+            untrusted.within(told.get("radius_mm"), "wall: radius_mm", 1.0, 1e4),
+            columns,
             tuple(part[i : i + 2 * columns] for i in range(0, len(part), 2 * columns)),
-        )  # fmt: skip
+        )
 
     def message(self) -> bytes:
         return wire.wall(self.of, self.first, self.step_mm, self.radius_mm, self.scan, self.columns, self.rows)

@@ -16,6 +16,9 @@ def light(camera: int, label: str, index: int, part: bytes) -> dict[str, Any]:
     mean = float(bands.mean()) if len(bands) else 0.0
     banding = 100.0 * float(bands.max() - bands.min()) / mean if mean >= 1.0 else None
     return {
-        "camera": camera, "label": label, "index": index, "mean": round(mean, 1),
+        "camera": camera,
+        "label": label,
+        "index": index,
+        "mean": round(mean, 1),
         "banding_percent": None if banding is None else round(banding, 1),
-    }  # fmt: skip
+    }

@@ -51,9 +51,11 @@ class Live:
     def alive(self) -> dict[str, Any]:
         age = self.feed.age_s()
         return {
-            "daemon": age is not None and age <= LOST_S, "age_s": age, "viewers": len(self.hub.viewers),
+            "daemon": age is not None and age <= LOST_S,
+            "age_s": age,
+            "viewers": len(self.hub.viewers),
             "lost": dict(self.feed.lost),
-        }  # fmt: skip
+        }
 
     def welcome(self, viewer: Viewer) -> None:
         """All status that one who comes now must know."""
@@ -116,9 +118,13 @@ class Live:
         """One word of the daemon's. ValueError when it is not as the daemon's README says."""
         kind = topic.partition("/")[0]
         hears = {
-            "preview": self._preview, "rows": self._rows, "slits": self._slits, "wall": self._wall,
-            "profile": self._profile, "closeup": self._closeup,
-        }.get(kind)  # fmt: skip
+            "preview": self._preview,
+            "rows": self._rows,
+            "slits": self._slits,
+            "wall": self._wall,
+            "profile": self._profile,
+            "closeup": self._closeup,
+        }.get(kind)
         if hears is not None:
             hears(body, part)
             return

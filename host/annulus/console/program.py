@@ -120,9 +120,12 @@ class Program:
 
     def hello(self) -> bytes:
         body = {
-            "version": version("annulus"), "demo": self.demo, "languages": self.languages(), "cameras": self.cameras,
+            "version": version("annulus"),
+            "demo": self.demo,
+            "languages": self.languages(),
+            "cameras": self.cameras,
             "deviation": {"colours": DEVIATION, "ends_mm": DEVIATION_LIVE_MM},
-        }  # fmt: skip
+        }
         return wire.status("hello", body)
 
     def languages(self) -> list[str]:

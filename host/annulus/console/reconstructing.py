@@ -61,12 +61,18 @@ class Job:
         if self.state == "running" and 0 < self.done < self.total and now - self.step_s > 1.0:
             left = round((now - self.step_s) * (self.total - self.done) / self.done, 1)
         return {
-            "id": self.id, "scan": untrusted.printable(self.scan.name), "state": self.state, "what": self.what,
+            "id": self.id,
+            "scan": untrusted.printable(self.scan.name),
+            "state": self.state,
+            "what": self.what,
             "calibration": None if self.calibration is None else untrusted.printable(self.calibration.name),
-            "done": self.done, "total": self.total, "error": self.error,
+            "done": self.done,
+            "total": self.total,
+            "error": self.error,
             "place": None if self.place is None else untrusted.printable(self.place.name),
-            "seconds": None if self.began_s is None else round(now - self.began_s, 1), "left_s": left,
-        }  # fmt: skip
+            "seconds": None if self.began_s is None else round(now - self.began_s, 1),
+            "left_s": left,
+        }
 
 
 class Reconstructing:
@@ -129,9 +135,13 @@ class Reconstructing:
             arguments += ["--calibration", str(job.calibration)]
         try:
             child = await asyncio.create_subprocess_exec(
-                *self._command, *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL,
-                stderr=asyncio.subprocess.PIPE, start_new_session=True,
-            )  # fmt: skip
+                *self._command,
+                *arguments,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.DEVNULL,
+                stderr=asyncio.subprocess.PIPE,
+                start_new_session=True,
+            )
             try:
                 heard, status = await self._follow(job, child)
             finally:

@@ -35,12 +35,28 @@ def prepared(program: Program) -> tuple[Any, socket.socket]:
     need("starlette")
     need("websockets")
     config = uvicorn.Config(
-        application(program), host=door.host, port=door.port, http=_http(), ws=_websocket(), loop="asyncio",
-        log_config=None, log_level="critical", access_log=False, server_header=False, proxy_headers=False,
-        ws_max_size=SAID_MAX, ws_per_message_deflate=False, ws_ping_interval=PING_S, ws_ping_timeout=3 * PING_S,
-        timeout_keep_alive=30, timeout_graceful_shutdown=1, h11_max_incomplete_event_size=16 << 10,
-        ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=1024,
-    )  # fmt: skip
+        application(program),
+        host=door.host,
+        port=door.port,
+        http=_http(),
+        ws=_websocket(),
+        loop="asyncio",
+        log_config=None,
+        log_level="critical",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws_max_size=SAID_MAX,
+        ws_per_message_deflate=False,
+        ws_ping_interval=PING_S,
+        ws_ping_timeout=3 * PING_S,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=1,
+        h11_max_incomplete_event_size=16 << 10,
+        ssl_certfile=door.tls_cert,
+        ssl_keyfile=door.tls_key,
+        backlog=1024,
+    )
     try:
         if door.tls_key is not None:
             require_secret(door.tls_key)

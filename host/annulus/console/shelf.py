@@ -243,11 +243,18 @@ def _recording(one: _Thing) -> tuple[float, dict[str, Any]]:
     seconds = None if seen.begun is None or seen.ended is None else (seen.ended - seen.begun).total_seconds()
     return seen.changed_s, {
         "utc": None if seen.begun is None else seen.begun.isoformat(timespec="seconds"),
-        "seconds": seconds, "job": seen.job.to_dict(), "from_mm": seen.from_mm, "to_mm": seen.to_mm,
-        "length_mm": length, "frames": seen.frames, "size": seen.size, "parts": len(seen.files),
-        "state": "whole" if seen.whole else "open" if going_on else "torn", "calibrated": seen.calibrated,
+        "seconds": seconds,
+        "job": seen.job.to_dict(),
+        "from_mm": seen.from_mm,
+        "to_mm": seen.to_mm,
+        "length_mm": length,
+        "frames": seen.frames,
+        "size": seen.size,
+        "parts": len(seen.files),
+        "state": "whole" if seen.whole else "open" if going_on else "torn",
+        "calibrated": seen.calibrated,
         "made_utc": _made(seen.provenance),
-    }  # fmt: skip
+    }
 
 
 def _scan(one: _Thing) -> tuple[float, dict[str, Any]]:
@@ -261,11 +268,19 @@ def _scan(one: _Thing) -> tuple[float, dict[str, Any]]:
     ends = (min(places), max(places)) if places else (None, None)
     own = folder / "calibration.json"
     return changed_ns / 1e9, {
-        "utc": None, "seconds": None, "job": job.to_dict(), "from_mm": ends[0], "to_mm": ends[1],
-        "length_mm": max(places) - min(places) if places else None, "frames": frames, "size": None, "parts": 1,
-        "state": "whole", "calibrated": own.is_file(),
+        "utc": None,
+        "seconds": None,
+        "job": job.to_dict(),
+        "from_mm": ends[0],
+        "to_mm": ends[1],
+        "length_mm": max(places) - min(places) if places else None,
+        "frames": frames,
+        "size": None,
+        "parts": 1,
+        "state": "whole",
+        "calibrated": own.is_file(),
         "made_utc": _made(provenance(_small(own))) if own.is_file() else None,
-    }  # fmt: skip
+    }
 
 
 def _rows(table: Path) -> tuple[int | None, list[float]]:
@@ -299,15 +314,20 @@ def _result(one: _Thing) -> tuple[float, dict[str, Any]]:
         "created": created if _is_time(created) else None,
         "job": JobSheet.recorded(summary.get("job")).to_dict(),
         "of": untrusted.printable(Path(str(summary.get("source", ""))).name)[:200],
-        "from_mm": _one(scanned.get("from")), "to_mm": _one(scanned.get("to")),
+        "from_mm": _one(scanned.get("from")),
+        "to_mm": _one(scanned.get("to")),
         "length_mm": _one(scanned.get("length")),
-        "defects": len(defects) if "defects" in summary else None, "worst_mm": max(depths, default=None),
-        "diameter_mm": _one(diameter.get("mean")), "k2_mm": _one(diameter.get("k2")),
+        "defects": len(defects) if "defects" in summary else None,
+        "worst_mm": max(depths, default=None),
+        "diameter_mm": _one(diameter.get("mean")),
+        "k2_mm": _one(diameter.get("k2")),
         "verdict": untrusted.printable(decision)[:60] if isinstance(decision, str) else None,
         "open": sum(isinstance(one, Mapping) and not one.get("usual") for one in _list(conformity, "not_established")),
-        "warnings": len(_list(summary, "warnings")), "files": files,
-        "size": sum((folder / name).stat().st_size for name in files), "state": "whole",
-    }  # fmt: skip
+        "warnings": len(_list(summary, "warnings")),
+        "files": files,
+        "size": sum((folder / name).stat().st_size for name in files),
+        "state": "whole",
+    }
 
 
 def _calibration(one: _Thing) -> tuple[float, dict[str, Any]]:
@@ -318,14 +338,18 @@ def _calibration(one: _Thing) -> tuple[float, dict[str, Any]]:
     made = provenance(data)
     radius = _one(_section(data, "pipe").get("radius_mm"))
     return path.stat().st_mtime, {
-        "made_utc": _made(made), "sections": sorted(made),
+        "made_utc": _made(made),
+        "sections": sorted(made),
         "nominal_diameter_mm": None if radius is None else 2 * radius,
-    }  # fmt: skip
+    }
 
 
 _TELLS: Mapping[str, Callable[[_Thing], tuple[float, dict[str, Any]]]] = {
-    "recording": _recording, "scan": _scan, "result": _result, "calibration": _calibration,
-}  # fmt: skip
+    "recording": _recording,
+    "scan": _scan,
+    "result": _result,
+    "calibration": _calibration,
+}
 
 
 def _made(sections: Mapping[str, Any]) -> float | None:

@@ -128,7 +128,4 @@ def routes(program: Program) -> list[Any]:
         tuning.cancel()
         return said()
 
-    return [
-        Route("/api/tune", begin, methods=["POST"]),
-        Route("/api/tune/cancel", cancel, methods=["POST"]),
-    ]
+    return [Route("/api/tune", begin, methods=["POST"]), Route("/api/tune/cancel", cancel, methods=["POST"])]

@@ -13,6 +13,19 @@ from annulus.crossbore.passage import Passage, Run
 from annulus.crossbore.readings import Gap, Head, Why
 
 __all__ = [
-    "BORES", "Account", "Gap", "Grid", "Head", "Indication", "Kind", "Limits", "Log", "Passage", "Run", "Why", "detect",
-    "likely", "on_grid",
-]  # fmt: skip
+    "BORES",
+    "Account",
+    "Gap",
+    "Grid",
+    "Head",
+    "Indication",
+    "Kind",
+    "Limits",
+    "Log",
+    "Passage",
+    "Run",
+    "Why",
+    "detect",
+    "likely",
+    "on_grid",
+]

@@ -186,8 +186,11 @@ def layers(
     def eps(middle: FloatArray, points: FloatArray) -> ComplexArray:
         rho = middle[:, :1]
         soil = outside(points)
-        return np.select([rho < head.radius_mm, rho < pipe.inner_mm, rho < pipe.outer_mm],
-                         [complex(head.carrier_eps), AIR, pipe.eps], soil)  # fmt: skip
+        return np.select(
+            [rho < head.radius_mm, rho < pipe.inner_mm, rho < pipe.outer_mm],
+            [complex(head.carrier_eps), AIR, pipe.eps],
+            soil,
+        )
 
     return eps
 
@@ -226,8 +229,9 @@ def sectors(case: Section) -> Readings:
     sides = facing(grid.axes, head, case.roll_deg)
     conductors = [front & side for side in sides] + [back & side for side in sides]
     drives = np.concatenate([np.eye(SECTORS), np.eye(SECTORS) * case.shield], axis=1)
-    found = solve(grid, layers(head, pipe, filled(case.bore, case.soil)), conductors, rho > FAR_MM - ON_MM,
-                  drives.tolist())  # fmt: skip
+    found = solve(
+        grid, layers(head, pipe, filled(case.bore, case.soil)), conductors, rho > FAR_MM - ON_MM, drives.tolist()
+    )
     charge = found.pf[:, :SECTORS] * head.electrode_mm
     own = np.diag(charge)
     mutual = -(charge - np.diag(own)).real

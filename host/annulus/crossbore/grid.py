@@ -149,9 +149,7 @@ def on_grid(log: Log, head: Head = HEAD) -> Grid:
     c_grid = np.where(narrow, smooth, c_grid)
     grid_speed = _filled(_binned(z, log.odometer_mm, speed))
     raised = np.where(unseen[:, None], 0.0, raised)
-    return Grid(
-        z, c_grid, loss, roll, ~unseen, raised, grid_speed, int(spiky.sum()), unread, lift, uneven, tuple(gaps)
-    )  # fmt: skip
+    return Grid(z, c_grid, loss, roll, ~unseen, raised, grid_speed, int(spiky.sum()), unread, lift, uneven, tuple(gaps))
 
 
 def _columns(log: Log) -> list[FloatArray | None]:

@@ -72,21 +72,26 @@ def model(
         "soil_eps": soil.real,
         "soil_eps_loss": -soil.imag,
         "head": {
-            "radius_mm": plain.head.radius_mm, "sector_deg": plain.head.sector_deg,
-            "electrode_mm": plain.head.electrode_mm, "apart_mm": plain.head.apart_mm,
+            "radius_mm": plain.head.radius_mm,
+            "sector_deg": plain.head.sector_deg,
+            "electrode_mm": plain.head.electrode_mm,
+            "apart_mm": plain.head.apart_mm,
         },
-        "pipe": {"inner_radius_mm": plain.pipe.inner_mm, "outer_radius_mm": plain.pipe.outer_mm,
-                 "eps": complex(plain.pipe.eps).real},
+        "pipe": {
+            "inner_radius_mm": plain.pipe.inner_mm,
+            "outer_radius_mm": plain.pipe.outer_mm,
+            "eps": complex(plain.pipe.eps).real,
+        },
         "along": {name: _pair(one) for name, one in pairs.items()},
         "along_shield_off": {name: _pair(one) for name, one in unshielded.items()},
         "swing_ff": 1000 * swing,
         "swing_of_standing": swing / pairs["air"].differential_pf,
         "swing_of_standing_shield_off": (
-            (unshielded["soil"].differential_pf - unshielded["air"].differential_pf)
-            / unshielded["air"].differential_pf
+            (unshielded["soil"].differential_pf - unshielded["air"].differential_pf) / unshielded["air"].differential_pf
         ),
         "pocket": {
-            "length_mm": POCKET_MM, "change_ff": 1000 * (pocket.differential_pf - pairs["soil"].differential_pf),
+            "length_mm": POCKET_MM,
+            "change_ff": 1000 * (pocket.differential_pf - pairs["soil"].differential_pf),
         },
         "half_depth_mm": float(np.interp(0.5, lost, depth)),
         "half_depth_prototype_mm": DEPTH_PROTOTYPE_MM,
@@ -94,7 +99,7 @@ def model(
         "across_pf": {name: one.pf.tolist() for name, one in across.items()},
         "across_loss_ff": {name: one.loss_ff.tolist() for name, one in across.items()},
         **bores,
-    }  # fmt: skip
+    }
     curves = {
         "place_mm": place,
         "differential_pf": np.array([one.differential_pf for one in passing]),
@@ -113,9 +118,11 @@ def model(
 
 def _pair(one: Pair) -> dict[str, float]:
     return {
-        "differential_pf": float(one.differential_pf), "loss_ff": float(one.loss_ff),
-        "mutual_pf": float(one.mutual_pf), "single_pf": float(one.single_pf),
-    }  # fmt: skip
+        "differential_pf": float(one.differential_pf),
+        "loss_ff": float(one.loss_ff),
+        "mutual_pf": float(one.mutual_pf),
+        "single_pf": float(one.single_pf),
+    }
 
 
 def _map(pair: Pair) -> Map:
@@ -148,19 +155,30 @@ def _bores(plain: Section, progress: Callable[[str, int, int], None]) -> dict[st
         one = bored(replace(plain, bore=bore))
         told(k + 4)
         row = {
-            "pipe": GTI[name], "case": name, "fill": fill, "radius_mm": bore.radius_mm,
-            "offset_mm": bore.offset_mm, "phi_deg": bore.phi_deg,
-            "change_ff": (1000 * (one.pf - soil.pf)).tolist(), "loss_ff": (one.loss_ff - soil.loss_ff).tolist(),
-        }  # fmt: skip
+            "pipe": GTI[name],
+            "case": name,
+            "fill": fill,
+            "radius_mm": bore.radius_mm,
+            "offset_mm": bore.offset_mm,
+            "phi_deg": bore.phi_deg,
+            "change_ff": (1000 * (one.pf - soil.pf)).tolist(),
+            "loss_ff": (one.loss_ff - soil.loss_ff).tolist(),
+        }
         if fill == "air":
             row["prototype_ff"] = list(PROTOTYPE_FF[name])
         rows.append(row)
     return {
-        "soil_pf": soil.pf.tolist(), "air_pf": air.pf.tolist(), "sector_swing_ff": (1000 * swing).tolist(),
+        "soil_pf": soil.pf.tolist(),
+        "air_pf": air.pf.tolist(),
+        "sector_swing_ff": (1000 * swing).tolist(),
         "lift": {
-            "off_mm": LIFT_MM, "towards_sector": 0, "change_ff": (1000 * (off.pf - soil.pf)).tolist(),
-            "of_swing": float((off.pf - soil.pf)[0] / swing[0]), "of_swing_prototype": LIFT_PROTOTYPE,
+            "off_mm": LIFT_MM,
+            "towards_sector": 0,
+            "change_ff": (1000 * (off.pf - soil.pf)).tolist(),
+            "of_swing": float((off.pf - soil.pf)[0] / swing[0]),
+            "of_swing_prototype": LIFT_PROTOTYPE,
         },
         "looks_deg": [120.0 * k for k in range(SECTORS)],
-        "nodes": soil.nodes, "bores": rows,
-    }  # fmt: skip
+        "nodes": soil.nodes,
+        "bores": rows,
+    }

@@ -202,10 +202,18 @@ class Account:
         """Where the scan stands, or ended."""
         ledger = self.ledger
         return ScanReport(
-            self.seconds, dict(self.frames), dict(self.unknown), self.drops, self.profiles, tuple(self.recordings),
-            median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self.events), ledger,
+            self.seconds,
+            dict(self.frames),
+            dict(self.unknown),
+            self.drops,
+            self.profiles,
+            tuple(self.recordings),
+            median(self._latency_ms) if self._latency_ms else 0.0,
+            telemetry,
+            tuple(self.events),
+            ledger,
             tuple(findings(ledger, self.seconds, self.dark)),
-        )  # fmt: skip
+        )
 
     def _sum(self, kinds: Sequence[str]) -> int:
         return sum(self._lost[kind] for kind in kinds)

@@ -102,9 +102,14 @@ class CameraFeed:
     """All methods belong to one thread, which must outlive the process: the kernel ends it with the thread."""
 
     def __init__(
-        self, number: int, config: CameraConfig, account: Account, observer: Observer, camera: Camera | None = None,
+        self,
+        number: int,
+        config: CameraConfig,
+        account: Account,
+        observer: Observer,
+        camera: Camera | None = None,
         realtime: bool | None = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`camera`: the caller's own; None: what `config` says, in a process, with real-time priority as head.toml's
         `realtime` has it.
         """
@@ -278,9 +283,12 @@ class CameraFeed:
         except OSError as error:
             raise cannot_start(sys.executable, error) from None
         order = {
-            "fd": theirs.fileno(), "parent": os.getpid(), "number": self.number, "camera": asdict(self.config),
+            "fd": theirs.fileno(),
+            "parent": os.getpid(),
+            "number": self.number,
+            "camera": asdict(self.config),
             "realtime": self._realtime,
-        }  # fmt: skip
+        }
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         with theirs:
             try:
@@ -407,9 +415,15 @@ class CameraFeed:
         return happened, False
 
     def _frame(
-        self, slot: int | None, stamp: int, sequence: int | None, timestamp_ns: int, arrived_ns: int,
-        picture: dict[str, Any], metadata: Mapping[str, Any],
-    ) -> list[Happened]:  # fmt: skip
+        self,
+        slot: int | None,
+        stamp: int,
+        sequence: int | None,
+        timestamp_ns: int,
+        arrived_ns: int,
+        picture: dict[str, Any],
+        metadata: Mapping[str, Any],
+    ) -> list[Happened]:
         place = None
         if slot is not None and self._ring is not None:
             place = self._lent.pop(stamp)

@@ -73,10 +73,15 @@ def _picamera(wanted: CameraConfig) -> Camera:
         raise AnnulusError(f"camera: Picamera2 cannot open camera {wanted.device}: {error}") from None
     try:
         configured = configure(
-            camera, (wanted.width, wanted.height), stream=wanted.format, fps=wanted.timing.fps,
-            exposure_us=wanted.timing.exposure_us, gain=wanted.gain, colour_gains=wanted.colour_gains,
+            camera,
+            (wanted.width, wanted.height),
+            stream=wanted.format,
+            fps=wanted.timing.fps,
+            exposure_us=wanted.timing.exposure_us,
+            gain=wanted.gain,
+            colour_gains=wanted.colour_gains,
             sensor_crop=wanted.sensor_crop,
-        )  # fmt: skip
+        )
     except BaseException:
         camera.close()
         raise

@@ -25,9 +25,16 @@ from annulus.stream.access import ClientKeys, Doorkeeper, Keys, connected
 from annulus.vocabulary import AnnulusError
 
 __all__ = [
-    "CARRIED_MAX", "PHOTO_MAX", "REQUEST_MAX", "TEXT_MAX", "ClientKeys", "ControlClient", "ControlSocket", "Do",
+    "CARRIED_MAX",
+    "PHOTO_MAX",
+    "REQUEST_MAX",
+    "TEXT_MAX",
+    "ClientKeys",
+    "ControlClient",
+    "ControlSocket",
+    "Do",
     "Request",
-]  # fmt: skip
+]
 
 PARTS_MAX = 3  # sender, delimiter, request
 CARRIED_MAX = ANSWER_MAX = 1 << 16  # bytes; what is larger ZeroMQ does not even take in
@@ -158,7 +165,7 @@ class ControlClient:
 
     def lamps(
         self, *, commit: bool, trial: bool = False, scan: int | None = None, **changed: float
-    ) -> Mapping[str, Any]:  # fmt: skip
+    ) -> Mapping[str, Any]:
         """Flashes, in microseconds after the falling edge: `projector_delay_us=..`. Returns all of them as they would
         be, or, with `commit`, as they are; `trial`: until the trial ends, and outside the window too.
         """

@@ -283,11 +283,14 @@ def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
     """
     timing, lamps = config.timing, config.lamps
     stage = stage_from_us(
-        ratio=lamps.ratio, period_us=timing.period_us,
-        exposure_us=timing.exposure_us if window else timing.period_us, readout_us=timing.readout_us if window else 0.0,
+        ratio=lamps.ratio,
+        period_us=timing.period_us,
+        exposure_us=timing.exposure_us if window else timing.period_us,
+        readout_us=timing.readout_us if window else 0.0,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
-        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=tolerance_permille(config),
-    )  # fmt: skip
+        led_us=(lamps.led_delay_us, lamps.led_width_us),
+        tolerance_permille=tolerance_permille(config),
+    )
     return replace(stage, host_timeout=lamps.host_timeout_ms)
 
 

@@ -89,11 +89,16 @@ class Evidence:
         before_ns = time.monotonic_ns()
         utc_ns = time.time_ns()
         body = {
-            "why": why, "host_ns": (before_ns + time.monotonic_ns()) // 2, "utc_ns": utc_ns,
+            "why": why,
+            "host_ns": (before_ns + time.monotonic_ns()) // 2,
+            "utc_ns": utc_ns,
             "utc": datetime.fromtimestamp(utc_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
-            "controller": self._controller, "cameras": cameras, "job": self._config.job.to_dict(),
-            "versions": versions(), "evidence_rows": self._first + len(self._rows),
-        }  # fmt: skip
+            "controller": self._controller,
+            "cameras": cameras,
+            "job": self._config.job.to_dict(),
+            "versions": versions(),
+            "evidence_rows": self._first + len(self._rows),
+        }
         self._note(IDENTITY, body)
 
     def close(self) -> None:
@@ -124,14 +129,20 @@ def controller_identity(head: HeadControl | None) -> dict[str, Any] | None:
         return None
     who, info = head.identity, head.session.info
     out = {
-        "board": _text(who.board), "git": _text(who.git), "protocol": who.protocol, "schema": f"{who.schema:08x}",
-        "boot": who.boot, "epoch": head.boot_epoch,
-    }  # fmt: skip
+        "board": _text(who.board),
+        "git": _text(who.git),
+        "protocol": who.protocol,
+        "schema": f"{who.schema:08x}",
+        "boot": who.boot,
+        "epoch": head.boot_epoch,
+    }
     if info is not None:
         out |= {
-            "version": f"{info.major}.{info.minor}.{info.patch}", "serial": _text(info.serial), "level": info.level,
+            "version": f"{info.major}.{info.minor}.{info.patch}",
+            "serial": _text(info.serial),
+            "level": info.level,
             "nonce": info.nonce,
-        }  # fmt: skip
+        }
     return out
 
 
@@ -139,9 +150,11 @@ def controller_identity(head: HeadControl | None) -> dict[str, Any] | None:
 def versions() -> dict[str, str]:
     """Of what runs here, whatever is installed meanwhile, and where no file can be opened any more."""
     return {
-        "annulus": importlib.metadata.version("annulus"), "python": platform.python_version(),
-        "kernel": platform.release(), "machine": platform.machine(),
-    }  # fmt: skip
+        "annulus": importlib.metadata.version("annulus"),
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+    }
 
 
 def _text(ascii_bytes: bytes) -> str:

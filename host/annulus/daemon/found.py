@@ -45,10 +45,18 @@ class Found:
         one = self.defect
         known = math.isfinite(one.depth_k2_mm)
         return {
-            "id": self.id, "kind": one.kind.value, "z_mm": one.z_mm, "clock_deg": one.clock_deg, "clock": one.clock,
-            "depth_mm": one.depth_mm, "depth_k2_mm": one.depth_k2_mm if known else None, "floor_seen": one.floor_seen,
-            "length_mm": one.length_mm, "arc_deg": one.arc_deg, "frames": list(self.frames),
-        }  # fmt: skip
+            "id": self.id,
+            "kind": one.kind.value,
+            "z_mm": one.z_mm,
+            "clock_deg": one.clock_deg,
+            "clock": one.clock,
+            "depth_mm": one.depth_mm,
+            "depth_k2_mm": one.depth_k2_mm if known else None,
+            "floor_seen": one.floor_seen,
+            "length_mm": one.length_mm,
+            "arc_deg": one.arc_deg,
+            "frames": list(self.frames),
+        }
 
 
 class Findings:
@@ -66,9 +74,16 @@ class Findings:
         for one in told["defects"]:
             k2 = math.nan if one["depth_k2_mm"] is None else one["depth_k2_mm"]
             defect = Defect(
-                Kind(one["kind"]), one["z_mm"], one["clock_deg"], one["length_mm"], one["arc_deg"], one["depth_mm"],
-                math.nan, one["floor_seen"], k2,
-            )  # fmt: skip
+                Kind(one["kind"]),
+                one["z_mm"],
+                one["clock_deg"],
+                one["length_mm"],
+                one["arc_deg"],
+                one["depth_mm"],
+                math.nan,
+                one["floor_seen"],
+                k2,
+            )
             self.known.append(Found(one["id"], defect, tuple(one["frames"])))
         self._number = 1 + max((one.id for one in self.known), default=0)
         looked = told.get("looked_mm")
@@ -116,10 +131,12 @@ class Findings:
     def to_dict(self, scan: int) -> dict[str, Any]:
         """Body of topic defects: every defect found so far, and the pipe's diameter in the last window."""
         return {
-            "scan": scan, "looked_mm": None if self.looked_mm is None else list(self.looked_mm),
-            "defects": [one.to_dict() for one in self.known], "diameter_mm": _known(self.diameter_mm),
+            "scan": scan,
+            "looked_mm": None if self.looked_mm is None else list(self.looked_mm),
+            "defects": [one.to_dict() for one in self.known],
+            "diameter_mm": _known(self.diameter_mm),
             "k2_mm": _known(self.k2_mm),
-        }  # fmt: skip
+        }
 
 
 def is_same(one: Defect, other: Defect, diameter_mm: float) -> bool:
@@ -160,10 +177,15 @@ def closeup(number: int, defect: Defect, survey: Survey) -> tuple[dict[str, Any]
     along = _medians(wall.radius_mm[near][:, beside].T) if len(near) else np.zeros(0)
     picture, z_range, clock_range = _picture(defect, wall, survey.nominal_diameter_mm)
     body = {
-        "id": number, "section_mm": section.astype("<f4").tobytes(), "along_mm": along.astype("<f4").tobytes(),
-        "along_from_mm": float(wall.z_mm[near[0]]) if len(near) else defect.z_mm, "along_step_mm": step,
-        "nominal_mm": survey.nominal_diameter_mm / 2, "picture_z_mm": list(z_range), "picture_clock_deg": clock_range,
-    }  # fmt: skip
+        "id": number,
+        "section_mm": section.astype("<f4").tobytes(),
+        "along_mm": along.astype("<f4").tobytes(),
+        "along_from_mm": float(wall.z_mm[near[0]]) if len(near) else defect.z_mm,
+        "along_step_mm": step,
+        "nominal_mm": survey.nominal_diameter_mm / 2,
+        "picture_z_mm": list(z_range),
+        "picture_clock_deg": clock_range,
+    }
     return body, picture
 
 
@@ -204,9 +226,12 @@ def _says_the_same(one: Defect, other: Defect) -> bool:
     """To what is shown: 0.01 mm of depth, 0.5 mm and a degree of place and size."""
     same = one.floor_seen == other.floor_seen and abs(one.depth_mm - other.depth_mm) < 0.01
     places = (one.z_mm - other.z_mm, one.length_mm - other.length_mm)
-    return same and all(abs(d) < 0.5 for d in places) and abs(one.clock_deg - other.clock_deg) < 1.0 and (
-        abs(one.arc_deg - other.arc_deg) < 1.0
-    )  # fmt: skip
+    return (
+        same
+        and all(abs(d) < 0.5 for d in places)
+        and abs(one.clock_deg - other.clock_deg) < 1.0
+        and (abs(one.arc_deg - other.arc_deg) < 1.0)
+    )
 
 
 def _known(value: float) -> float | None:

@@ -14,21 +14,39 @@ from typing import Any
 # Every kind of loss in account.LOSSES stands on one side; tests/unit/daemon/test_ledger.py sees to it.
 UNTAKEN = ("camera", "camera_away")  # the daemon never had them
 BEFORE = (*UNTAKEN, "no_slot")
-AFTER = (
-    "recorder_busy", "recorder_absent", "recorder_failed", "recorder_died", "disk", "recording_gone",
-)  # fmt: skip
+AFTER = ("recorder_busy", "recorder_absent", "recorder_failed", "recorder_died", "disk", "recording_gone")
 LIVE = (
-    "camera_late", "worker_busy", "worker_failed", "worker_died", "worker_late", "publisher_busy", "publisher_failed",
+    "camera_late",
+    "worker_busy",
+    "worker_failed",
+    "worker_died",
+    "worker_late",
+    "publisher_busy",
+    "publisher_failed",
     "publisher_died",
-)  # fmt: skip
+)
 NO_FRAMES = (
     "camera_missing",
-    "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced",
-    "surveyors_replaced", "surveyor_notes", "surveyor_failed", "edge_events",
-    "line_broken", "camera_silent", "camera_gone", "cameras_replaced", "sensor_silent", "sensor_malformed",
-    "sensor_fault", "sensor_dropped", "supply_fault",
+    "recorder_notes",
+    "publisher_notes",
+    "workers_replaced",
+    "recorders_replaced",
+    "publishers_replaced",
+    "surveyors_replaced",
+    "surveyor_notes",
+    "surveyor_failed",
+    "edge_events",
+    "line_broken",
+    "camera_silent",
+    "camera_gone",
+    "cameras_replaced",
+    "sensor_silent",
+    "sensor_malformed",
+    "sensor_fault",
+    "sensor_dropped",
+    "supply_fault",
     "control_malformed",
-)  # fmt: skip
+)
 
 LOST_MAX = 0.01  # of the labelled frames; a recording that lacks more is a lost one. tests/unit/daemon/test_ledger.py
 EMPTY_S = 5.0  # cameras that brought nothing for so long should have
@@ -85,9 +103,12 @@ class Ledger:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "taken": self.taken, "labelled": self.labelled, "lost_before_label": dict(self.before),
-            "recorded": self.recorded if self.recording else None, "lost_after_label": dict(self.after),
-        }  # fmt: skip
+            "taken": self.taken,
+            "labelled": self.labelled,
+            "lost_before_label": dict(self.before),
+            "recorded": self.recorded if self.recording else None,
+            "lost_after_label": dict(self.after),
+        }
 
 
 def findings(ledger: Ledger, seconds: float, dark: bool) -> list[Finding]:

@@ -146,9 +146,11 @@ class Operating:
         now_s, config = time.monotonic(), self._session.config
         left = None if self._trial_until_s is None else round(max(0.0, self._trial_until_s - now_s), 1)
         return {
-            "command": self._command.numbers(now_s), "trial": left, "lamps": lamp_numbers(config.lamps),
+            "command": self._command.numbers(now_s),
+            "trial": left,
+            "lamps": lamp_numbers(config.lamps),
             "job": config.job.to_dict(),
-        }  # fmt: skip
+        }
 
     def _start(self, request: Request, now_s: float) -> None:
         if not request.record and self._session.line is None:

@@ -195,10 +195,16 @@ class Recorder(Pool, Observer):
     def __init__(self, setup: RecordingSetup, shared: Shared, account: Account, observer: Observer) -> None:
         command = child("annulus.daemon.recorder")
         plain = {
-            "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
-            "configuration": setup.configuration, "bounds": list(astuple(setup.bounds)), "scan": setup.scan,
-            "codec": setup.codec.value, "clock": setup.clock.to_dict(), "realtime": setup.realtime,
-        }  # fmt: skip
+            "folder": str(setup.folder.absolute()),
+            "name": setup.name,
+            "calibration": setup.calibration,
+            "configuration": setup.configuration,
+            "bounds": list(astuple(setup.bounds)),
+            "scan": setup.scan,
+            "codec": setup.codec.value,
+            "clock": setup.clock.to_dict(),
+            "realtime": setup.realtime,
+        }
         kind = WorkerKind("recorder", command, plain, 1, max(1, len(shared.ring) // 2), spares=1)
         super().__init__(kind, shared, account, observer)
         account.recording = True
@@ -317,9 +323,15 @@ class Reconstruction(Pool):
     """The workers that turn projector frames into profiles, which come out in the order of frames."""
 
     def __init__(
-        self, calibration: Calibration, colour: ColourProfile | None, count: int, period_us: float, shared: Shared,
-        account: Account, observer: Observer,
-    ) -> None:  # fmt: skip
+        self,
+        calibration: Calibration,
+        colour: ColourProfile | None,
+        count: int,
+        period_us: float,
+        shared: Shared,
+        account: Account,
+        observer: Observer,
+    ) -> None:
         """period_us : of the cameras' frames."""
         command = child("annulus.daemon.worker")
         setup = {"calibration": calibration.to_dict(), "colour": None if colour is None else colour.to_dict()}

@@ -70,9 +70,14 @@ def power_up(
     line = None
     if config.port is not None:
         line = ControllerLine(
-            config.port, stage_of(config), account, observers, preamble_for(config), pins_for(config),
+            config.port,
+            stage_of(config),
+            account,
+            observers,
+            preamble_for(config),
+            pins_for(config),
             interlock_for(config),
-        )  # fmt: skip
+        )
         stack.callback(line.close)
         for event in line.identify():
             navigation.heard(event)

@@ -96,9 +96,11 @@ class Allowance:
     """
 
     def __init__(
-        self, wanted: bool | None, now_s: Callable[[], float] = time.monotonic,
+        self,
+        wanted: bool | None,
+        now_s: Callable[[], float] = time.monotonic,
         used_s: Callable[[], float] = time.process_time,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.exceeded = 0  # times
         self._now_s, self._used_s = now_s, used_s
         self._looked_s, self._used = now_s(), used_s()

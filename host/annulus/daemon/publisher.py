@@ -37,9 +37,13 @@ class PublisherJob:
     """
 
     def __init__(
-        self, address: str, keys: Keys | None, realtime: bool | None = False, calibration: Calibration | None = None,
+        self,
+        address: str,
+        keys: Keys | None,
+        realtime: bool | None = False,
+        calibration: Calibration | None = None,
         scan: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`scan`: number of the one under way, of which this one has seen nothing yet: it takes over."""
         self._calibration = calibration
         self._under_way = scan is not None

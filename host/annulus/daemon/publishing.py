@@ -31,14 +31,19 @@ class Publishing(Pool, Observer):
     """
 
     def __init__(
-        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False,
+        self,
+        config: SocketConfig,
+        shared: Shared,
+        account: Account,
+        observer: Observer,
+        realtime: bool | None = False,
         calibration: Calibration | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`realtime` as head.toml says; `calibration` of the head, where slits are decoded live."""
         keys = config.keys
-        plain = None if keys is None else {
-            "public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)
-        }  # fmt: skip
+        plain = (
+            None if keys is None else {"public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)}
+        )
         self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
         self._setup["calibration"] = None if calibration is None else calibration.to_dict()
         self._setup["scan"] = None  # under way, for one that takes over

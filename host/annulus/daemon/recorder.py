@@ -78,9 +78,12 @@ class RecorderJob:
         self._look()
         writer = self._writer
         written = writer is not None and writer.frame(
-            header.to_dict(), image, header.timestamp_ns, hurried=self._without_pause >= HURRY_AFTER,
+            header.to_dict(),
+            image,
+            header.timestamp_ns,
+            hurried=self._without_pause >= HURRY_AFTER,
             preview=self._without_pause < len(self._cameras),
-        )  # fmt: skip
+        )
         self._done_s = time.monotonic()
         if writer is not None and writer.path != self.path:  # another part
             self._tell(writer)
@@ -141,9 +144,14 @@ class RecorderJob:
     def _part(self, path: Path, part: Part) -> RecordingWriter:
         now_ns = self._clock.host_ns if part.number == 1 else time.monotonic_ns()  # the scan began before we were up
         return RecordingWriter(
-            path, calibration=self._calibration, configuration=self._configuration, now_ns=now_ns,
-            part=part, codec=self._codec, clock=self._clock,
-        )  # fmt: skip
+            path,
+            calibration=self._calibration,
+            configuration=self._configuration,
+            now_ns=now_ns,
+            part=part,
+            codec=self._codec,
+            clock=self._clock,
+        )
 
     def _state(self, gone: bool = False, problem: str = "") -> dict[str, Any]:
         """`gone`: there is no such file, or not any more."""
@@ -157,9 +165,15 @@ class RecorderJob:
 def _prepare(setup: Any) -> RecorderJob:
     raise_process(setup["realtime"], RECORDER_LEVEL)  # what is refused the daemon has told of itself
     return RecorderJob(
-        Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"], Bounds(*setup["bounds"]),
-        setup["scan"], Codec(setup["codec"]), Clock.from_dict(setup["clock"]),
-    )  # fmt: skip
+        Path(setup["folder"]),
+        setup["name"],
+        setup["calibration"],
+        setup["configuration"],
+        Bounds(*setup["bounds"]),
+        setup["scan"],
+        Codec(setup["codec"]),
+        Clock.from_dict(setup["clock"]),
+    )
 
 
 def _get_opencv() -> None:

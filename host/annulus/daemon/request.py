@@ -156,10 +156,11 @@ def _lamps(value: object) -> dict[str, float]:
     if strange := [name for name in given if name not in LAMP_KEYS]:
         raise ValueError(f"lamps: {untrusted.shown(strange[0])} is not known, expected some of {', '.join(LAMP_KEYS)}")
     return {
-        name: untrusted.whole(one, "lamps: ratio", 0, 15) if name == "ratio"
+        name: untrusted.whole(one, "lamps: ratio", 0, 15)
+        if name == "ratio"
         else untrusted.within(one, f"lamps: {name}", 0.0, LAMP_MAX_US)
         for name, one in given.items()
-    }  # fmt: skip
+    }
 
 
 def _who(value: object) -> Operator | None:

@@ -67,9 +67,14 @@ class Scan:
             record = config.record
             bounds = Bounds(60.0 * record.part_minutes, GB * record.part_gb, record.sync_s)
             setup = RecordingSetup(
-                config.record_folder, name, calibration, config.to_dict(), bounds, codec=record.codec,
+                config.record_folder,
+                name,
+                calibration,
+                config.to_dict(),
+                bounds,
+                codec=record.codec,
                 realtime=config.realtime,
-            )  # fmt: skip
+            )
             self.recorder = Recorder(setup, power.shared, account, observers)
             observers.all.insert(0, self.recorder)
             head = power.line.head if power.line is not None else None

@@ -202,9 +202,14 @@ class Session:
             self._prepare_scan(power)  # together with the workers: neither has to wait for the other
         if config.calibration is not None and config.calibration.frame_by_frame:
             self._reconstruction = Reconstruction(
-                config.calibration, config.colour, config.workers or default_workers(), config.timing.period_us,
-                power.shared, self._account, self.observers,
-            )  # fmt: skip
+                config.calibration,
+                config.colour,
+                config.workers or default_workers(),
+                config.timing.period_us,
+                power.shared,
+                self._account,
+                self.observers,
+            )
 
     def _become_ready(self, stop: Callable[[], bool]) -> bool:
         """Until recorder and workers are up; False when asked to stop before."""

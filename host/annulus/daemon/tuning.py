@@ -55,9 +55,7 @@ class Tuned:
     @property
     def proposed(self) -> dict[str, float]:
         """Keys and values of [lamps]."""
-        return {
-            f"{self.lamp}_delay_us": self.proposal.delay_us, f"{self.lamp}_width_us": self.proposal.width_us
-        }  # fmt: skip
+        return {f"{self.lamp}_delay_us": self.proposal.delay_us, f"{self.lamp}_width_us": self.proposal.width_us}
 
     @property
     def remarks(self) -> list[str]:
@@ -82,10 +80,17 @@ class Tuned:
 
 
 def tune(
-    client: ControlClient, publish: str, lamp: str = "projector", *, keys: ClientKeys | None = None, camera: int = 0,
-    steps: int = STEPS, frames: int = FRAMES, progress: Progress = lambda what, done, total: None,
+    client: ControlClient,
+    publish: str,
+    lamp: str = "projector",
+    *,
+    keys: ClientKeys | None = None,
+    camera: int = 0,
+    steps: int = STEPS,
+    frames: int = FRAMES,
+    progress: Progress = lambda what, done, total: None,
     cancelled: Callable[[], bool] = lambda: False,
-) -> Tuned:  # fmt: skip
+) -> Tuned:
     """One lamp, as one camera sees it, of an idle head, which is idle again afterwards.
 
     publish : the daemon's address of topics, `keys` for it. Raises AnnulusError with why nothing is proposed, Cancelled
@@ -146,9 +151,15 @@ def _trial(client: ControlClient) -> Iterator[int | None]:
 
 class _Work:
     def __init__(
-        self, client: ControlClient, trial: int | None, watch: "_Watch", lamp: str, frames: int, period_us: float,
+        self,
+        client: ControlClient,
+        trial: int | None,
+        watch: "_Watch",
+        lamp: str,
+        frames: int,
+        period_us: float,
         cancelled: Callable[[], bool],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._client, self._trial, self._watch, self._lamp, self._frames = client, trial, watch, lamp, frames
         self._patience_s = PATIENCE_S + PATIENCE_PERIODS * period_us * 1e-6
         self._cancelled = cancelled
@@ -166,9 +177,11 @@ class _Work:
         """Of a setting: one reading of frames that follow another of the lamp, or one of those that do not."""
         self.turn()
         self._client.lamps(
-            commit=True, trial=True, scan=self._trial,
+            commit=True,
+            trial=True,
+            scan=self._trial,
             **{f"{self._lamp}_delay_us": delay_us, f"{self._lamp}_width_us": width_us},
-        )  # fmt: skip
+        )
         seen = self._watch.gather(self._frames, self._patience_s, self.turn)
         if seen is None:
             raise AnnulusError(

@@ -76,9 +76,11 @@ def secrets(files: Sequence[Path]) -> list[Finding]:
 
 
 def clock(
-    wall: Callable[[], int] = time.time_ns, even: Callable[[], int] = time.monotonic_ns,
-    synchronised: Callable[[], bool | None] | None = None, look_s: float = LOOK_S,
-) -> list[Finding]:  # fmt: skip
+    wall: Callable[[], int] = time.time_ns,
+    even: Callable[[], int] = time.monotonic_ns,
+    synchronised: Callable[[], bool | None] | None = None,
+    look_s: float = LOOK_S,
+) -> list[Finding]:
     """Whether the time of day is somebody's, and stands still against the one that frames are stamped with."""
     before = wall() - even()
     time.sleep(look_s)
@@ -89,11 +91,7 @@ def clock(
         return [Finding("clock", False, f"it is {year} here: sudo timedatectl set-ntp true, or fit a real-time clock")]
     if step_ms > STEP_MS:
         return [Finding("clock", False, f"the time of day jumped by {step_ms:.1f} ms in {look_s:g} s: who sets it?")]
-    said = {
-        True: "synchronised",
-        False: "not synchronised: recordings may tell a wrong time of day",
-        None: "unknown",
-    }
+    said = {True: "synchronised", False: "not synchronised: recordings may tell a wrong time of day", None: "unknown"}
     text = f"{said[known]}; steady within {max(step_ms, 0.001):.3f} ms"
     return [Finding("clock", True if known else None, text)]
 

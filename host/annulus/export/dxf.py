@@ -27,9 +27,19 @@ STEPS_MM = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 50_000, 100_000
 STEP_LABELS = 7.0  # heights of a text between two lines of the grid, at least
 LINES_MAX = 400  # .. of the grid
 LAYERS = {  # colours of AutoCAD's index; 7 is black on white and white on black
-    "CENTRE-LINE": 1, "STATIONS": 7, "PLAN-FRAME": 7, "PLAN-GRID": 9, "PLAN-TEXT": 7, "PLAN-LOSS": 1, "PLAN-BUMP": 5,
-    "PLAN-OVALITY": 6, "PLAN-UNDECIDED": 30, "PLAN-FEATURES": 94, "PLAN-OBSERVATIONS": 130, "PLAN-LIST": 7,
-}  # fmt: skip
+    "CENTRE-LINE": 1,
+    "STATIONS": 7,
+    "PLAN-FRAME": 7,
+    "PLAN-GRID": 9,
+    "PLAN-TEXT": 7,
+    "PLAN-LOSS": 1,
+    "PLAN-BUMP": 5,
+    "PLAN-OVALITY": 6,
+    "PLAN-UNDECIDED": 30,
+    "PLAN-FEATURES": 94,
+    "PLAN-OBSERVATIONS": 130,
+    "PLAN-LIST": 7,
+}
 _OF_KIND = {"loss": "PLAN-LOSS", "bump": "PLAN-BUMP", "ovality": "PLAN-OVALITY"}
 
 
@@ -131,8 +141,10 @@ class _Plan:
         where = [text for key in ("client", "site", "pipe") if (text := results.job.get(key))]
         self._text(
             ", ".join([*where, results.source]) + ". Clockwise looking forward; y is arc length at the nominal radius",
-            self.first, self.top + 1.8 * label, "PLAN-TEXT",
-        )  # fmt: skip
+            self.first,
+            self.top + 1.8 * label,
+            "PLAN-TEXT",
+        )
 
     def _draw_place(self, name: str, place: Place, layer: str) -> None:
         first, last = (min(max(z, self.first), self.last) for z in (place.z_from_mm, place.z_to_mm))

@@ -49,12 +49,18 @@ def write(results: Results, path: Path) -> None:
         low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     tree = _tree(results, views, at)
     tree["accessors"] = [
-        {"bufferView": 0, "componentType": _FLOAT, "count": count, "type": "VEC3",
-         "min": low.tolist(), "max": high.tolist()},
+        {
+            "bufferView": 0,
+            "componentType": _FLOAT,
+            "count": count,
+            "type": "VEC3",
+            "min": low.tolist(),
+            "max": high.tolist(),
+        },
         {"bufferView": 1, "componentType": _FLOAT, "count": count, "type": "VEC3"},
         {"bufferView": 2, "componentType": _FLOAT, "count": count, "type": "SCALAR"},
         {"bufferView": 3, "componentType": _U32, "count": corners, "type": "SCALAR"},
-    ]  # fmt: skip
+    ]
     head = json.dumps(tree, ensure_ascii=False).encode()
     head += b" " * (-len(head) % 4)
     with path.open("wb") as file:
@@ -84,9 +90,13 @@ def _deviations(part: NDArray[np.void]) -> NDArray[np.float32]:
 
 def _tree(results: Results, views: list[dict[str, int]], size: int) -> dict[str, Any]:
     about = {
-        "axes": Y_UP, "unit": "m", "_DEVIATION": "of the radius, mm, outwards positive; -9999 where not known",
-        "source": results.source, "created": results.created, "job": dict(results.job),
-    }  # fmt: skip
+        "axes": Y_UP,
+        "unit": "m",
+        "_DEVIATION": "of the radius, mm, outwards positive; -9999 where not known",
+        "source": results.source,
+        "created": results.created,
+        "job": dict(results.job),
+    }
     attributes = {"POSITION": 0, "COLOR_0": 1, "_DEVIATION": 2}
     return {
         "asset": {"version": "2.0", "generator": results.made_by},

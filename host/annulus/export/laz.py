@@ -18,10 +18,12 @@ CHUNK = 1 << 18  # points
 TEXT_AREA = 3  # LAS's number of a record of free text
 STEPS_MAX = 2.0e9  # of a coordinate, either way: a signed 32-bit number
 EXTRA = (  # name, kind, description of at most 31 characters
-    ("radius_mm", "float32", "from the pipe's axis, mm"), ("sigma_mm", "float32", "of the radius, k=1, mm"),
-    ("frame", "int32", "of the recording"), ("ring", "uint8", "of the pattern, 0 innermost"),
+    ("radius_mm", "float32", "from the pipe's axis, mm"),
+    ("sigma_mm", "float32", "of the radius, k=1, mm"),
+    ("frame", "int32", "of the recording"),
+    ("ring", "uint8", "of the pattern, 0 innermost"),
     ("camera", "uint8", "that saw it"),
-)  # fmt: skip
+)
 
 
 def write(results: Results, path: Path) -> None:

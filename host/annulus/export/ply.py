@@ -14,10 +14,23 @@ from annulus.untrusted import shown
 HEAD_MAX = 1 << 14  # bytes; ours have 500
 COUNT_MAX = 1 << 31  # vertices or faces
 _KINDS = {
-    "char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4", "float": "<f4",
-    "double": "<f8", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4", "uint32": "<u4",
-    "float32": "<f4", "float64": "<f8",
-}  # fmt: skip
+    "char": "i1",
+    "uchar": "u1",
+    "short": "<i2",
+    "ushort": "<u2",
+    "int": "<i4",
+    "uint": "<u4",
+    "float": "<f4",
+    "double": "<f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "float32": "<f4",
+    "float64": "<f8",
+}
 _FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
 _CORNERS = {"property list uchar int vertex_indices", "property list uint8 int32 vertex_indices"}
 

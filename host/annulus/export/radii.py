@@ -48,12 +48,24 @@ def at_angles(radius_mm: FloatArray, clock_deg: FloatArray) -> FloatArray:
 def _about(results: Results) -> str:
     """What radii.json says."""
     wall = results.wall
-    return json.dumps({
-        "format": "annulus-radii/1", "unit": "mm", "radii": COUNT, "step_deg": 360.0 / COUNT,
-        "of": "the inner wall's distance from the pipe's axis (centreline.json), median over the station's rows",
-        "direction": "clockwise looking forward, r_000.00 at 12 o'clock",
-        "empty": "not seen, or farther from the nominal radius than wall.npz can say",
-        "map_step_deg": 360.0 / len(wall.clock_deg), "map_step_mm": wall.z_step_mm,
-        "interpolated": "between two neighbouring columns of the map that were both seen; never across a gap",
-        "stations": len(results.stations["z_mm"]), "source": results.source, "made_by": results.made_by,
-    }, indent=1) + "\n"  # fmt: skip
+    return (
+        json.dumps(
+            {
+                "format": "annulus-radii/1",
+                "unit": "mm",
+                "radii": COUNT,
+                "step_deg": 360.0 / COUNT,
+                "of": "the inner wall's distance from the axis (centreline.json), median over the station's rows",
+                "direction": "clockwise looking forward, r_000.00 at 12 o'clock",
+                "empty": "not seen, or farther from the nominal radius than wall.npz can say",
+                "map_step_deg": 360.0 / len(wall.clock_deg),
+                "map_step_mm": wall.z_step_mm,
+                "interpolated": "between two neighbouring columns of the map that were both seen; never across a gap",
+                "stations": len(results.stations["z_mm"]),
+                "source": results.source,
+                "made_by": results.made_by,
+            },
+            indent=1,
+        )
+        + "\n"
+    )

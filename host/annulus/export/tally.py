@@ -26,7 +26,7 @@ from annulus.numeric.rounding import (
     digits,
     digits_k2,
     said,
-)  # fmt: skip
+)
 from annulus.record.results_folder import Place
 
 EDITION = (
@@ -98,10 +98,15 @@ OURS = (
 )
 COLUMNS = POF + OURS
 _TYPES = {  # the POF's words where it has one
-    "loss": ("Anomaly", "Wall loss"), "bump": ("Anomaly", "Bump"), "ovality": ("Anomaly", "Ovality"),
-    "joint": ("Joint", "Joint"), "gap": ("Joint", "Gap in a coupling"), "branch": ("Off take", "Branch"),
-    "tee": ("Tee", "Tee"), "bend": ("Bend", "Bend"),
-}  # fmt: skip
+    "loss": ("Anomaly", "Wall loss"),
+    "bump": ("Anomaly", "Bump"),
+    "ovality": ("Anomaly", "Ovality"),
+    "joint": ("Joint", "Joint"),
+    "gap": ("Joint", "Gap in a coupling"),
+    "branch": ("Off take", "Branch"),
+    "tee": ("Tee", "Tee"),
+    "bend": ("Bend", "Bend"),
+}
 
 
 def clock_time(angle_deg: float) -> time:

@@ -19,15 +19,23 @@ COUNTERS = {  # of a recording, for who mends the head
 CELL_MAX = 32_000  # characters; a cell of Excel holds 32 767
 ROWS_MAX = 1_048_575  # .. a sheet, below its heading
 STATION_HEADINGS = (
-    ("Distance [m]", "0.000"), ("Least diameter [mm]", "0.00"), ("Greatest diameter [mm]", "0.00"),
-    ("Mean diameter [mm]", "0.00"), ("Ovality as measured, F1216 [%]", "0.00"),
-    ("Ovality of the shape, F1216 [%]", "0.00"), ("Seen [%]", "0.0"), ("Diameter k=2 [mm]", "0.00"),
-)  # fmt: skip
+    ("Distance [m]", "0.000"),
+    ("Least diameter [mm]", "0.00"),
+    ("Greatest diameter [mm]", "0.00"),
+    ("Mean diameter [mm]", "0.00"),
+    ("Ovality as measured, F1216 [%]", "0.00"),
+    ("Ovality of the shape, F1216 [%]", "0.00"),
+    ("Seen [%]", "0.0"),
+    ("Diameter k=2 [mm]", "0.00"),
+)
 
 OBSERVED_HEADINGS = (
-    ("Mark", "@"), ("Head at [m]", "0.000"), ("Clock position [hh:mm]", "hh:mm"), ("What was said", "@"),
+    ("Mark", "@"),
+    ("Head at [m]", "0.000"),
+    ("Clock position [hh:mm]", "hh:mm"),
+    ("What was said", "@"),
     ("When [UTC]", "@"),
-)  # fmt: skip
+)
 
 
 def write(results: Results, path: Path) -> None:
@@ -72,8 +80,9 @@ def _fill(sheet: Any, headings: Sequence[str], forms: Sequence[str], lines: list
                 cell.number_format = form
     for column, cell in enumerate(sheet[1], start=1):
         cell.font, cell.alignment = Font(bold=True), Alignment(wrap_text=True, vertical="top")
-        widest = max((len(str(sheet.cell(row, column).value or "")) for row in range(2, min(sheet.max_row, 60) + 1)),
-                     default=0)  # fmt: skip
+        widest = max(
+            (len(str(sheet.cell(row, column).value or "")) for row in range(2, min(sheet.max_row, 60) + 1)), default=0
+        )
         longest = max(len(word) for word in cell.value.split())
         sheet.column_dimensions[cell.column_letter].width = min(max(10, longest + 2, widest + 2), 60)
     sheet.freeze_panes = "A2"
@@ -90,30 +99,47 @@ def _observations(results: Results) -> list[list[Cell]]:
     """What the operator marked, by where the head stood."""
     return [
         [
-            one.name, None if one.z_mm is None else one.z_mm / 1000,
-            None if one.clock_deg is None else clock_time(one.clock_deg), one.text or None, one.utc or None,
+            one.name,
+            None if one.z_mm is None else one.z_mm / 1000,
+            None if one.clock_deg is None else clock_time(one.clock_deg),
+            one.text or None,
+            one.utc or None,
         ]
         for one in results.observations
-    ]  # fmt: skip
+    ]
 
 
 def _about(results: Results) -> list[list[Cell]]:
     first, last = results.scanned_mm
     lines: list[list[Cell]] = [
         ["Column order", f"{EDITION}. Columns of our own: {', '.join(column.heading for column in OURS)}."],
-        ["Empty columns", "What an optical head inside a plastic pipe does not know stays empty: coordinates, "
-         "thickness, seam, classification by thickness, ERF, mean depth."],
-        ["Log distance", "To the middle of the place, along the pipe's centre line, by the head's odometer; its start "
-         "and end stand under From and To."],
+        [
+            "Empty columns",
+            "What an optical head inside a plastic pipe does not know stays empty: coordinates, "
+            "thickness, seam, classification by thickness, ERF, mean depth.",
+        ],
+        [
+            "Log distance",
+            "To the middle of the place, along the pipe's centre line, by the head's odometer; its start "
+            "and end stand under From and To.",
+        ],
         ["Clock position", "Looking forward, 00:00 up. Of an ovality: its long axis."],
-        ["Depth", "Greatest departure of the inner wall from the pipe's fitted shape. k=2: expanded uncertainty, about "
-         "95 %."],
-        ["Observations", "Where there are any: what the operator marked, in their words, at the place where the head "
-         "stood then. Nothing of it was measured."],
+        [
+            "Depth",
+            "Greatest departure of the inner wall from the pipe's fitted shape. k=2: expanded uncertainty, about 95 %.",
+        ],
+        [
+            "Observations",
+            "Where there are any: what the operator marked, in their words, at the place where the head "
+            "stood then. Nothing of it was measured.",
+        ],
         ["Severity", "As summary.json says; empty where no limits were named."],
-        ["Scan", results.source], ["Results of", results.created], ["Made by", results.made_by],
-        ["Scanned [m]", span(first, last, DISTANCE, unit=False)], ["Points", results.points],
-    ]  # fmt: skip
+        ["Scan", results.source],
+        ["Results of", results.created],
+        ["Made by", results.made_by],
+        ["Scanned [m]", span(first, last, DISTANCE, unit=False)],
+        ["Points", results.points],
+    ]
     lines += [[f"Job: {WORDS.get(name, name)}", value] for name, value in results.job.items()]
     lines += [[f"Recording: {name}", value] for name, value in results.origin.items() if name not in COUNTERS]
     lines += [[name, value] for name, value in results.figures.items()]

@@ -35,10 +35,16 @@ _BLOCK_BYTES = 512
 _MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 _NOT_MAIN_FLASH, _HAS_FAMILY = 0x0001, 0x2000
 _FAMILIES = {  # of microsoft/uf2's list, those a user may have at hand
-    0xE48BFF57: "RP2350, absolute", 0xE48BFF58: "RP2350, data", 0xE48BFF5A: "RP2350, RISC-V",
-    0xE48BFF5B: "RP2350, non-secure", 0x68ED2B88: "SAMD21", 0x55114460: "SAMD51", 0xADA52840: "nRF52840",
-    0xBFDD4EEE: "ESP32-S2", 0xC47E5767: "ESP32-S3",
-}  # fmt: skip
+    0xE48BFF57: "RP2350, absolute",
+    0xE48BFF58: "RP2350, data",
+    0xE48BFF5A: "RP2350, RISC-V",
+    0xE48BFF5B: "RP2350, non-secure",
+    0x68ED2B88: "SAMD21",
+    0x55114460: "SAMD51",
+    0xADA52840: "nRF52840",
+    0xBFDD4EEE: "ESP32-S2",
+    0xC47E5767: "ESP32-S3",
+}
 _PT_LOAD, _EM_ARM = 1, 40
 _LEVEL = re.compile(rb"annulus level (\d+)U?\0")
 _IDENTITY = re.compile(rb"annulus (\w+) (\S+) (\S+) protocol (\d+)U? schema 0x([0-9A-Fa-f]{8})U?\0")

@@ -19,14 +19,7 @@ from typing import Any
 from serial.tools import list_ports
 
 from annulus.flash.chips import CHIPS, RP2040, Chip
-from annulus.flash.image import (
-    FLASH_START,
-    PAGE_BYTES,
-    Image,
-    application,
-    has_application,
-    parse_image,
-)
+from annulus.flash.image import FLASH_START, PAGE_BYTES, Image, application, has_application, parse_image
 from annulus.flash.over_line import write_over_line
 from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.client import Client

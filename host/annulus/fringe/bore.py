@@ -121,19 +121,24 @@ def look_around(  # type: ignore[no-untyped-def]
             grey[k, p] = sample(images, k, u, v)
             seen[k, p, 0], seen[k, p, 1], seen[k, p, 2] = place(heads[k], x, y, z)
             ux, vx = see(
-                lens[k], cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
+                lens[k],
+                cx + AHEAD_MM * cameras[k, 0, 2],
+                cy + AHEAD_MM * cameras[k, 1, 2],
                 cz + AHEAD_MM * cameras[k, 2, 2],
-            )  # fmt: skip
+            )
             px, py, pz = place(projectors[k], x, y, z)
             dx, dy, dz = x - eyes[k, 0], y - eyes[k, 1], z - eyes[k, 2]
             scaled = 1.0 / (dx * normal[p, 0] + dy * normal[p, 1] + dz * normal[p, 2])
             dx, dy, dz = dx * scaled, dy * scaled, dz * scaled
             phase[k, p], slope[k, p] = phase_and_slope(
-                slide[k], px, py, pz,
+                slide[k],
+                px,
+                py,
+                pz,
                 projectors[k, 0, 0] * dx + projectors[k, 0, 1] * dy + projectors[k, 0, 2] * dz,
                 projectors[k, 1, 0] * dx + projectors[k, 1, 1] * dy + projectors[k, 1, 2] * dz,
                 projectors[k, 2, 0] * dx + projectors[k, 2, 1] * dy + projectors[k, 2, 2] * dz,
-            )  # fmt: skip
+            )
             along = phase_and_slope(
                 slide[k], px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]
             )[1]
@@ -142,9 +147,33 @@ def look_around(  # type: ignore[no-untyped-def]
 
 @jit
 def follow_wall(  # type: ignore[no-untyped-def]
-    images, lens, cameras, heads, eyes, projectors, slide, eye, shading, blur_squared, drift, drift_sigma, noise, base,
-    path, texture, start, tolerance, height, sigma, dc, ac, misfit, used, flag, who,
-):  # fmt: skip
+    images,
+    lens,
+    cameras,
+    heads,
+    eyes,
+    projectors,
+    slide,
+    eye,
+    shading,
+    blur_squared,
+    drift,
+    drift_sigma,
+    noise,
+    base,
+    path,
+    texture,
+    start,
+    tolerance,
+    height,
+    sigma,
+    dc,
+    ac,
+    misfit,
+    used,
+    flag,
+    who,
+):
     """Every wall point's height outwards, from its `start`; as `track.follow`, in a pipe's light (module docstring).
 
     eye : (N,) whose frame each is; lens, slide (N, ..) by frame, shading (E, 3, TERMS) by eye. texture : (P,) slope of
@@ -190,17 +219,22 @@ def follow_wall(  # type: ignore[no-untyped-def]
                 dx, dy, dz = dx * scaled, dy * scaled, dz * scaled
                 px, py, pz = place(projectors[k], x, y, z)
                 phase[k], slope[k] = phase_and_slope(
-                    slide[k], px, py, pz,
+                    slide[k],
+                    px,
+                    py,
+                    pz,
                     projectors[k, 0, 0] * dx + projectors[k, 0, 1] * dy + projectors[k, 0, 2] * dz,
                     projectors[k, 1, 0] * dx + projectors[k, 1, 1] * dy + projectors[k, 1, 2] * dz,
                     projectors[k, 2, 0] * dx + projectors[k, 2, 1] * dy + projectors[k, 2, 2] * dz,
-                )  # fmt: skip
+                )
                 if blur_squared > 0.0:
                     if turn == 0:  # a height changes it little
                         ux, vx = see(
-                            lens[k], cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
+                            lens[k],
+                            cx + AHEAD_MM * cameras[k, 0, 2],
+                            cy + AHEAD_MM * cameras[k, 1, 2],
                             cz + AHEAD_MM * cameras[k, 2, 2],
-                        )  # fmt: skip
+                        )
                         wide[k] = blur_squared * AHEAD_MM * AHEAD_MM / ((ux - u) ** 2 + (vx - v) ** 2)
                     along = phase_and_slope(
                         slide[k], px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]

@@ -131,19 +131,32 @@ def calibrate_plate(
     every = np.concatenate(left)
     values[6] = math.remainder(values[6], 2 * math.pi)
     return PlateCalibration(
-        _projector(values, kept), values, covariance, kept_sigma, modulation, gamma, gamma_sigma,
-        robust_sigma(every), max(apart, default=0.0), len(every), np.array([len(one.u) for one in fine]),
-    )  # fmt: skip
+        _projector(values, kept),
+        values,
+        covariance,
+        kept_sigma,
+        modulation,
+        gamma,
+        gamma_sigma,
+        robust_sigma(every),
+        max(apart, default=0.0),
+        len(every),
+        np.array([len(one.u) for one in fine]),
+    )
 
 
 def _projector(values: FloatArray, harmonics: FloatArray | tuple[float, ...] = ()) -> FringeProjector:
     across, depth, tilt_x, tilt_y, rate, turn, phase0 = (float(one) for one in values)
     rotation = cv2.Rodrigues(np.array([tilt_x, tilt_y, 0.0]))[0]
     return FringeProjector(
-        "stripes", (across * math.cos(turn), across * math.sin(turn), depth),
-        tuple((float(a), float(b), float(c)) for a, b, c in rotation), 2 * math.pi / rate,
-        phase0, math.degrees(turn), harmonics=tuple(float(one) for one in harmonics),
-    )  # fmt: skip
+        "stripes",
+        (across * math.cos(turn), across * math.sin(turn), depth),
+        tuple((float(a), float(b), float(c)) for a, b, c in rotation),
+        2 * math.pi / rate,
+        phase0,
+        math.degrees(turn),
+        harmonics=tuple(float(one) for one in harmonics),
+    )
 
 
 def _carrier(plate: ReferencePlate) -> FloatArray:

@@ -113,9 +113,14 @@ def calibrate_pipe(
             break
     told = covariance[-count:, -count:]
     return PipeCalibration(
-        head.projector, np.sqrt(np.diag(told)), told, head.poses.mean(axis=0), misfit, len(shots.images),
+        head.projector,
+        np.sqrt(np.diag(told)),
+        told,
+        head.poses.mean(axis=0),
+        misfit,
+        len(shots.images),
         bool(backwards),
-    )  # fmt: skip
+    )
 
 
 def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, FringeProjector]:

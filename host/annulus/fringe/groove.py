@@ -76,9 +76,14 @@ class _Cut:
 
     @staticmethod
     def of(
-        head: Head, sight: Sight, images: Float32Array, noise: tuple[float, float, float], phi: float, radius: float,
+        head: Head,
+        sight: Sight,
+        images: Float32Array,
+        noise: tuple[float, float, float],
+        phi: float,
+        radius: float,
         z: FloatArray,
-    ) -> "_Cut | None":  # fmt: skip
+    ) -> "_Cut | None":
         """None where fewer than FRAMES_LEAST frames see it whole, from its own plane."""
         normal = np.array([math.cos(phi), math.sin(phi), 0.0])
         lamps = -np.einsum("nij,ni->nj", sight.projectors[:, :, :3], sight.projectors[:, :, 3])
@@ -86,9 +91,23 @@ class _Cut:
         shape = (len(sight.cameras), len(z))
         grey, gain, depth, blur = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
         look_at_cut(
-            images, sight.lens, sight.cameras, sight.heads, sight.projectors, sight.slide, sight.eye, head.shading,
-            math.sqrt(head.blur_squared), normal, radius, z, grey, gain, depth, blur,
-        )  # fmt: skip
+            images,
+            sight.lens,
+            sight.cameras,
+            sight.heads,
+            sight.projectors,
+            sight.slide,
+            sight.eye,
+            head.shading,
+            math.sqrt(head.blur_squared),
+            normal,
+            radius,
+            z,
+            grey,
+            gain,
+            depth,
+            blur,
+        )
         flat = np.maximum(np.abs(sight.eyes @ beside), np.abs(lamps @ beside)) < ACROSS_OF_RADIUS * radius
         k = np.flatnonzero(np.isfinite(grey).all(axis=1) & flat)
         if len(k) < FRAMES_LEAST:
@@ -96,11 +115,19 @@ class _Cut:
         grey = grey[k]
         level = np.maximum(grey, 0.0)
         return _Cut(
-            normal, radius, z, sight.slide[k], sight.projectors[k], grey,
-            1.0 / np.sqrt(noise[0] + level * (noise[1] + level * noise[2])), gain[k], depth[k],
-            blur[k], np.stack([sight.eyes[k, 2], sight.eyes[k] @ normal], axis=1),
+            normal,
+            radius,
+            z,
+            sight.slide[k],
+            sight.projectors[k],
+            grey,
+            1.0 / np.sqrt(noise[0] + level * (noise[1] + level * noise[2])),
+            gain[k],
+            depth[k],
+            blur[k],
+            np.stack([sight.eyes[k, 2], sight.eyes[k] @ normal], axis=1),
             np.stack([lamps[k, 2], lamps[k] @ normal], axis=1),
-        )  # fmt: skip
+        )
 
     @property
     def step(self) -> float:
@@ -111,9 +138,23 @@ class _Cut:
         a, b, deep, off, modulation, blur = p
         out = np.empty((*self.grey.shape, len(self.z)))
         light_of_cut(
-            self.slide, self.projectors, self.sight, self.lamp, self.normal, self.radius, self.z[0], self.step, (a, b),
-            deep, off, modulation, self.depth, self.gain, blur * self.blur, out,
-        )  # fmt: skip
+            self.slide,
+            self.projectors,
+            self.sight,
+            self.lamp,
+            self.normal,
+            self.radius,
+            self.z[0],
+            self.step,
+            (a, b),
+            deep,
+            off,
+            modulation,
+            self.depth,
+            self.gain,
+            blur * self.blur,
+            out,
+        )
         return np.asarray((out * self.weight[..., None]).reshape(-1, len(self.z)))
 
     def lit(self, a: float, b: float, deep: float) -> BoolArray:
@@ -211,9 +252,11 @@ def look_at_cut(  # type: ignore[no-untyped-def]
                 continue
             u, v = see(lens[k], cx, cy, cz)
             ux, vx = see(
-                lens[k], cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
+                lens[k],
+                cx + AHEAD_MM * cameras[k, 0, 2],
+                cy + AHEAD_MM * cameras[k, 1, 2],
                 cz + AHEAD_MM * cameras[k, 2, 2],
-            )  # fmt: skip
+            )
             grey[k, j] = sample(images, k, u, v)
             blur[k, j] = blur_px * AHEAD_MM / math.sqrt((ux - u) ** 2 + (vx - v) ** 2)
             hx, hy, hz = place(heads[k], x, y, z[j])
@@ -262,9 +305,16 @@ class _Groove:
 
 
 def measured(
-    head: Head, images: Float32Array, noise: tuple[float, float, float], phi_rad: FloatArray, z_mm: FloatArray,
-    radius_mm: float, height_mm: FloatArray, sigma_mm: FloatArray, modulation: FloatArray,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
+    head: Head,
+    images: Float32Array,
+    noise: tuple[float, float, float],
+    phi_rad: FloatArray,
+    z_mm: FloatArray,
+    radius_mm: float,
+    height_mm: FloatArray,
+    sigma_mm: FloatArray,
+    modulation: FloatArray,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """The (Z, A) heights of a map, mm outwards of radius_mm, and their sigma, with the grooves that could be told in
     them, NaN where no light was seen on a floor; and (Z, A) bool, losses that are lower limits still: narrower along
     the pipe than what their rim hides and the blur fills.
@@ -297,9 +347,11 @@ def measured(
     for column, grooves in found.items():
         for one in grooves:
             near = [
-                other for away in range(-BESIDE, BESIDE + 1) for other in found.get((column + away) % len(phi_rad), [])
+                other
+                for away in range(-BESIDE, BESIDE + 1)
+                for other in found.get((column + away) % len(phi_rad), [])
                 if min(other.edges[1], one.edges[1]) > max(other.edges[0], one.edges[0])
-            ]  # fmt: skip
+            ]
             if len(near) >= FITTED:
                 _write(one, near, z_mm, (height[:, column], sigma[:, column], limits[:, column]))
     return height, sigma, limits

@@ -240,10 +240,22 @@ def _run(
     follow(
         np.ascontiguousarray(images, np.float32) if tracked else nothing,
         np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
-        view.lens, view.cameras, view.eyes, view.projectors, view.slide, view.drift, fit.drift_sigma,
-        np.array(fit.noise), points.base, _rows(points.path), _rows(points.normal), start,
-        tolerance, *told, left,
-    )  # fmt: skip
+        view.lens,
+        view.cameras,
+        view.eyes,
+        view.projectors,
+        view.slide,
+        view.drift,
+        fit.drift_sigma,
+        np.array(fit.noise),
+        points.base,
+        _rows(points.path),
+        _rows(points.normal),
+        start,
+        tolerance,
+        *told,
+        left,
+    )
     return _of(told, left)
 
 

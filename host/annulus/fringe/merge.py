@@ -37,7 +37,12 @@ def _two(a: Heights, b: Heights) -> Heights:
         return np.where(first, one, other)
 
     return Heights(
-        np.where(told, height, np.nan), np.where(told, sigma, np.nan), of(a.dc, b.dc), of(a.ac, b.ac),
-        of(a.misfit, b.misfit), a.used * (wa > 0) + b.used * (wb > 0), np.where(told, GOOD, np.minimum(a.flag, b.flag)),
+        np.where(told, height, np.nan),
+        np.where(told, sigma, np.nan),
+        of(a.dc, b.dc),
+        of(a.ac, b.ac),
+        of(a.misfit, b.misfit),
+        a.used * (wa > 0) + b.used * (wb > 0),
+        np.where(told, GOOD, np.minimum(a.flag, b.flag)),
         np.empty((0, 0), np.float32),
-    )  # fmt: skip
+    )

@@ -145,14 +145,31 @@ def measure_pipe(
     found = _scattered(head, z, found, shape, plain.height_mm, np.isfinite(texture))
     modulation = found.modulation.reshape(shape)
     height, sigma, at_least = groove.measured(
-        head, coefficients, noise, phi, z, radius_mm, found.height_mm.reshape(shape), found.sigma_mm.reshape(shape),
+        head,
+        coefficients,
+        noise,
+        phi,
+        z,
+        radius_mm,
+        found.height_mm.reshape(shape),
+        found.sigma_mm.reshape(shape),
         modulation,
-    )  # fmt: skip
+    )
     return PipeMap(
-        z, np.degrees(phi), radius_mm + height, sigma, found.flag.astype(np.uint8).reshape(shape),
-        at_least, found.dc.reshape(shape), modulation,
-        np.nan_to_num(found.used).astype(int).reshape(shape), found.who.reshape(shape), head, noise, slipped,
-    )  # fmt: skip
+        z,
+        np.degrees(phi),
+        radius_mm + height,
+        sigma,
+        found.flag.astype(np.uint8).reshape(shape),
+        at_least,
+        found.dc.reshape(shape),
+        modulation,
+        np.nan_to_num(found.used).astype(int).reshape(shape),
+        found.who.reshape(shape),
+        head,
+        noise,
+        slipped,
+    )
 
 
 def lit_wall(head: Head, images: Float32Array) -> tuple[Head, Float32Array, tuple[float, float]]:
@@ -241,28 +258,59 @@ def _fringe_px(eye: Eye, radius_mm: float) -> int:
 
 
 def followed(
-    head: Head, images: Float32Array, points: Points, start: FloatArray, noise: tuple[float, float, float],
+    head: Head,
+    images: Float32Array,
+    points: Points,
+    start: FloatArray,
+    noise: tuple[float, float, float],
     texture: FloatArray | None = None,
-) -> Heights:  # fmt: skip
+) -> Heights:
     """`follow_wall` of those points, heights outwards from where the points are."""
     view, count = head.view, len(points.base)
     height, sigma, dc, ac, misfit, used, flag = (np.full(count, np.nan) for _ in range(7))
     who = np.empty(count, np.int64)
     follow_wall(
-        images, view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide, view.eye, head.shading,
-        head.blur_squared if texture is not None else 0.0, view.drift, DRIFT, np.array(noise), points.base,
-        np.ascontiguousarray(points.path), np.zeros(count) if texture is None else np.nan_to_num(texture), start,
-        head.radius_mm * 1e-5, height, sigma, dc, ac, misfit, used, flag, who,
-    )  # fmt: skip
+        images,
+        view.lens,
+        view.cameras,
+        view.heads,
+        view.eyes,
+        view.projectors,
+        view.slide,
+        view.eye,
+        head.shading,
+        head.blur_squared if texture is not None else 0.0,
+        view.drift,
+        DRIFT,
+        np.array(noise),
+        points.base,
+        np.ascontiguousarray(points.path),
+        np.zeros(count) if texture is None else np.nan_to_num(texture),
+        start,
+        head.radius_mm * 1e-5,
+        height,
+        sigma,
+        dc,
+        ac,
+        misfit,
+        used,
+        flag,
+        who,
+    )
     return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32), who)
 
 
 def _freedom(head: Head, said: FloatArray, wall: float) -> Freedom:
     sigma = np.array(POSE_SIGMA) * [1, 1, 1, head.radius_mm, head.radius_mm, head.radius_mm]
     return Freedom(
-        said, np.tile(sigma, (len(said), 1)), np.zeros(6), np.zeros(LAW), wall_mm=wall, drift=DRIFT,
+        said,
+        np.tile(sigma, (len(said), 1)),
+        np.zeros(6),
+        np.zeros(LAW),
+        wall_mm=wall,
+        drift=DRIFT,
         radius_mm=RADIUS_SIGMA * head.radius_mm,
-    )  # fmt: skip
+    )
 
 
 def _placed(
@@ -283,9 +331,14 @@ def _placed(
 
 
 def _refocused(
-    head: Head, images: Float32Array, points: Points, said: FloatArray, noise: tuple[float, float, float],
-    start: FloatArray, texture: FloatArray,
-) -> Head:  # fmt: skip
+    head: Head,
+    images: Float32Array,
+    points: Points,
+    said: FloatArray,
+    noise: tuple[float, float, float],
+    start: FloatArray,
+    texture: FloatArray,
+) -> Head:
     """The head again, its lens's blur from what slopes of albedo do to the phase."""
     base = float(np.hypot(*points.base[0, :2]))
     for _ in range(2):

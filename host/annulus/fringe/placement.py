@@ -150,10 +150,15 @@ class Head:
         away = -np.einsum("nij,nj->ni", turns, self.poses[:, 3:])
         widest = max(len(eye.projector.numbers) for eye in self.eyes)
         out = Sight(
-            np.zeros((count, 10)), np.zeros((count, 3, 4)),
+            np.zeros((count, 10)),
+            np.zeros((count, 3, 4)),
             np.ascontiguousarray(np.concatenate([turns, away[..., None]], axis=2)[self.flash]),
-            np.zeros((count, 3, 4)), np.zeros((count, 3)), np.zeros((count, widest)), np.zeros(count), self.eye,
-        )  # fmt: skip
+            np.zeros((count, 3, 4)),
+            np.zeros((count, 3)),
+            np.zeros((count, widest)),
+            np.zeros(count),
+            self.eye,
+        )
         for number, eye in enumerate(self.eyes):
             mine = np.flatnonzero(self.eye == number)
             own = self.flash[mine]
@@ -196,10 +201,18 @@ class Looks:
         view = head.view
         shape = (len(view.cameras), len(x))
         one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
+        view_arrays = (view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide)
         look_around(
-            images, view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide,
-            np.ascontiguousarray(x), np.ascontiguousarray(normal), one.grey, one.phase, one.slope, one.pull, one.seen,
-        )  # fmt: skip
+            images,
+            *view_arrays,
+            np.ascontiguousarray(x),
+            np.ascontiguousarray(normal),
+            one.grey,
+            one.phase,
+            one.slope,
+            one.pull,
+            one.seen,
+        )
         return one
 
 
@@ -289,10 +302,15 @@ def refined(
 
 
 def _equations(
-    head: Head, images: Float32Array, points: Points, freedom: Freedom, noise: tuple[float, float, float],
-    found: tuple[FloatArray, FloatArray, FloatArray] | None, slope: FloatArray,
+    head: Head,
+    images: Float32Array,
+    points: Points,
+    freedom: Freedom,
+    noise: tuple[float, float, float],
+    found: tuple[FloatArray, FloatArray, FloatArray] | None,
+    slope: FloatArray,
     along: tuple[FloatArray, FloatArray] | None,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray]:
     """Normal equations of some points. found : their height, DC and AC; slope : of their albedo."""
     free = found is not None
     frames, count = len(head.eye), len(points.base)
@@ -412,9 +430,15 @@ def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[Float
 
 
 def _normal(
-    rest: FloatArray, poses: FloatArray, common: FloatArray, columns: FloatArray, root: FloatArray,
-    told: FloatArray | None, freedom: Freedom, head: Head,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    rest: FloatArray,
+    poses: FloatArray,
+    common: FloatArray,
+    columns: FloatArray,
+    root: FloatArray,
+    told: FloatArray | None,
+    freedom: Freedom,
+    head: Head,
+) -> tuple[FloatArray, FloatArray]:
     """Normal equations of poses and common numbers, what is a point's own projected out."""
     frames, count = rest.shape
     width = columns.shape[2]
@@ -469,9 +493,6 @@ def _normal(
     )
     matrix -= inner.T @ inner
     pull = np.concatenate(
-        [
-            by_flash(np.einsum("npi,pn->ni", d, left[:, :frames])).ravel(),
-            np.einsum("pnk,pn->k", everyone, left),
-        ]
+        [by_flash(np.einsum("npi,pn->ni", d, left[:, :frames])).ravel(), np.einsum("pnk,pn->k", everyone, left)]
     )
     return matrix, pull

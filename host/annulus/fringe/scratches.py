@@ -138,6 +138,13 @@ def _measured(seen: PipeMap, kind: Kind, place: BoolArray, depth: FloatArray) ->
     z0, z1 = seen.z_mm[rows[0]] - along / 2, seen.z_mm[rows[-1]] + along / 2
     floor = kind is not Kind.LOSS or not seen.at_least[upper].mean() > 0.5
     return Defect(
-        kind, float(z0 + z1) / 2, float((start + arc / 2 + 90.0) % 360.0), float(z1 - z0), float(arc), deep,
-        float(place.sum() * along * across), bool(floor), k2,
-    )  # fmt: skip
+        kind,
+        float(z0 + z1) / 2,
+        float((start + arc / 2 + 90.0) % 360.0),
+        float(z1 - z0),
+        float(arc),
+        deep,
+        float(place.sum() * along * across),
+        bool(floor),
+        k2,
+    )

@@ -95,15 +95,16 @@ def ring_slide(
         if not (math.isfinite(value) and value > 0):
             raise AnnulusError(f"the {what} is {value:g} mm, expected more than 0")
     slide = RingSlide(
-        FringeProjector(
-            "rings", (0.0, 0.0, -distance_mm), STILL, period_mm, nominal_radius_mm=pipe_radius_mm
-        ),
-        focal_mm, focal_mm * math.tan(math.radians(inner)), focal_mm * math.tan(math.radians(outer)), defocus_mm,
+        FringeProjector("rings", (0.0, 0.0, -distance_mm), STILL, period_mm, nominal_radius_mm=pipe_radius_mm),
+        focal_mm,
+        focal_mm * math.tan(math.radians(inner)),
+        focal_mm * math.tan(math.radians(outer)),
+        defocus_mm,
         (
             pipe_radius_mm / math.tan(math.radians(outer)) - distance_mm,
             pipe_radius_mm / math.tan(math.radians(inner)) - distance_mm,
         ),
-    )  # fmt: skip
+    )
     if slide.rings < 2:
         raise AnnulusError(f"a period of {period_mm:g} mm leaves {slide.rings} rings in that field: expected 2 or more")
     left = float(slide.modulation(np.array([slide.inner_mm]))[0])

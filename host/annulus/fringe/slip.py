@@ -41,10 +41,16 @@ class Places:
 
 
 def find_places(
-    head: Head, images: Float32Array, points: Points, found: Heights, texture: FloatArray, freedom: Freedom,
-    noise: tuple[float, float, float], step_mm: float,
+    head: Head,
+    images: Float32Array,
+    points: Points,
+    found: Heights,
+    texture: FloatArray,
+    freedom: Freedom,
+    noise: tuple[float, float, float],
+    step_mm: float,
     follow: Callable[[Head, Points, FloatArray, FloatArray], Heights],
-) -> Places:  # fmt: skip
+) -> Places:
     """points : the grid that `found` and texture (P,) are of. freedom : of the poses, with the places as told. follow :
     what the points are by another head, from their heights and textures."""
     flashes = len(head.poses)

@@ -124,9 +124,15 @@ def find_steps(
 
 
 def _equations(
-    view: View, beyond: View, ahead: float, images: Float32Array, points: Points, found: Heights,
-    noise: tuple[float, float, float], drift: bool,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    view: View,
+    beyond: View,
+    ahead: float,
+    images: Float32Array,
+    points: Points,
+    found: Heights,
+    noise: tuple[float, float, float],
+    drift: bool,
+) -> tuple[FloatArray, FloatArray]:
     """(N, N) and (N,): normal equations of the positions over the points that all frames see."""
     frames = len(view.cameras)
     free = max(frames - 3, 1)

@@ -76,9 +76,13 @@ def stereo_heights(
 
 
 def slide_seen(
-    pair: tuple[HeadCamera, HeadCamera], projector: FringeProjector, moved_mm: FloatArray,
-    images: tuple[Float32Array, Float32Array], points: Points, bounds_mm: tuple[float, float],
-) -> FringeProjector:  # fmt: skip
+    pair: tuple[HeadCamera, HeadCamera],
+    projector: FringeProjector,
+    moved_mm: FloatArray,
+    images: tuple[Float32Array, Float32Array],
+    points: Points,
+    bounds_mm: tuple[float, float],
+) -> FringeProjector:
     """The slide with the phase0 and period that the first camera sees where the disparity says that the wall is: a
     slide that was never calibrated has any phase, and a period within some percent of its design.
 
@@ -113,9 +117,13 @@ def slide_seen(
 
 
 def _agreed(
-    views: tuple[View, View], images: tuple[Float32Array, Float32Array], points: Points, rough: FloatArray,
-    noise: tuple[float, float, float], drift_sigma: float,
-) -> tuple[FloatArray, ...]:  # fmt: skip
+    views: tuple[View, View],
+    images: tuple[Float32Array, Float32Array],
+    points: Points,
+    rough: FloatArray,
+    noise: tuple[float, float, float],
+    drift_sigma: float,
+) -> tuple[FloatArray, ...]:
     """What `Heights` has of the points but residuals, in its order: both phases followed to where they agree."""
     h = rough.copy()
     first, second = views
@@ -143,9 +151,13 @@ def _agreed(
 
 
 def rough_heights(
-    pair: tuple[HeadCamera, HeadCamera], projector: FringeProjector, moved_mm: FloatArray,
-    images: tuple[Float32Array, Float32Array], points: Points, bounds_mm: tuple[float, float],
-) -> FloatArray:  # fmt: skip
+    pair: tuple[HeadCamera, HeadCamera],
+    projector: FringeProjector,
+    moved_mm: FloatArray,
+    images: tuple[Float32Array, Float32Array],
+    points: Points,
+    bounds_mm: tuple[float, float],
+) -> FloatArray:
     """(P,) mm, NaN where the matcher finds none: by the disparity of the rectified DC images of the middle frame."""
     low, high = bounds_mm
     if not high > low:
@@ -211,9 +223,15 @@ def rough_heights(
 
 
 def _phase(
-    view: View, images: Float32Array, points: Points, h: FloatArray, noise: tuple[float, float, float],
-    drift_sigma: float, *, robust: bool,
-) -> _Seen:  # fmt: skip
+    view: View,
+    images: Float32Array,
+    points: Points,
+    h: FloatArray,
+    noise: tuple[float, float, float],
+    drift_sigma: float,
+    *,
+    robust: bool,
+) -> _Seen:
     """Least squares along each point's track: Eq. 6.9 to 6.14 with its own steps, in light that may drift."""
     x = points.at(h)
     value, phase = np.empty((len(images), len(x))), np.empty((len(images), len(x)))

@@ -74,9 +74,15 @@ def _seen(one: HeadCamera, shape: tuple[int, ...], points: Points, place: FloatA
 
 
 def _finish(
-    kept: Iterable[tuple[int, Float32Array, FloatArray]], first: int, end: int | None, one: HeadCamera,
-    projector: FringeProjector, points: Points, noise: tuple[float, float, float], drift_sigma: float,
-) -> Heights:  # fmt: skip
+    kept: Iterable[tuple[int, Float32Array, FloatArray]],
+    first: int,
+    end: int | None,
+    one: HeadCamera,
+    projector: FringeProjector,
+    points: Points,
+    noise: tuple[float, float, float],
+    drift_sigma: float,
+) -> Heights:
     mine = [(image, place) for number, image, place in kept if number >= first and (end is None or number < end)]
     if len(mine) < 3:
         none = np.full(len(points.base), np.nan)

@@ -91,11 +91,19 @@ def see_row(lens, camera, x, y, z, count, u, v):  # type: ignore[no-untyped-def]
         p1, p2, k3 = lens[7], lens[8], lens[9]
         for i in range(count):
             u[i], v[i] = pinhole(
-                fx, fy, cx, cy, k1, k2, p1, p2, k3,
+                fx,
+                fy,
+                cx,
+                cy,
+                k1,
+                k2,
+                p1,
+                p2,
+                k3,
                 r00 * x[i] + r01 * y[i] + r02 * z[i] + tx,
                 r10 * x[i] + r11 * y[i] + r12 * z[i] + ty,
                 r20 * x[i] + r21 * y[i] + r22 * z[i] + tz,
-            )  # fmt: skip
+            )
         return
     for i in range(count):
         u[i], v[i] = see(
@@ -202,9 +210,30 @@ def lit_along(slide, projector, x, y, z, way):  # type: ignore[no-untyped-def]
 
 @jit
 def follow(  # type: ignore[no-untyped-def]
-    images, samples, lens, cameras, eyes, projectors, slide, drift, drift_sigma, noise, base, path, normal, start,
-    tolerance, height, sigma, dc, ac, misfit, used, flag, residual,
-):  # fmt: skip
+    images,
+    samples,
+    lens,
+    cameras,
+    eyes,
+    projectors,
+    slide,
+    drift,
+    drift_sigma,
+    noise,
+    base,
+    path,
+    normal,
+    start,
+    tolerance,
+    height,
+    sigma,
+    dc,
+    ac,
+    misfit,
+    used,
+    flag,
+    residual,
+):
     """Every point's height, from its `start`.
 
     images : (N, H, W) float32, coefficients of splines. samples : (N, P) float64 in their place, or (0, 0).

@@ -151,10 +151,19 @@ class Calibration:
         moved, sigma = wall_from_dict(top["wall"]) if "wall" in top else ((0.0, 0.0, 0.0), None)
         first, *others = cameras
         return cls(
-            first.camera, colours, tuple(cone for cone, _ in rings), radius, covariance, _corrections(rings),
-            tuple(others), first.id, None if kind == "slits" else dict(pattern),
-            _beside(top) if kind == "fringe" else {}, moved, sigma,
-        )  # fmt: skip
+            first.camera,
+            colours,
+            tuple(cone for cone, _ in rings),
+            radius,
+            covariance,
+            _corrections(rings),
+            tuple(others),
+            first.id,
+            None if kind == "slits" else dict(pattern),
+            _beside(top) if kind == "fringe" else {},
+            moved,
+            sigma,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it: `annulus-calibration/1` where that can say everything."""
@@ -166,11 +175,7 @@ class Calibration:
             **head,
             "pattern": dict(pattern),
             "rings": [
-                {
-                    "theta_full_deg": math.degrees(2 * c.half_angle),
-                    "axis": list(c.axis),
-                    "vertex_mm": list(c.vertex_mm),
-                }
+                {"theta_full_deg": math.degrees(2 * c.half_angle), "axis": list(c.axis), "vertex_mm": list(c.vertex_mm)}
                 for c in self.rings
             ],
             "pipe": {"radius_mm": self.pipe_radius_mm},
@@ -310,11 +315,13 @@ def _rotation(value: object, where: str) -> Matrix:
 def _cameras_to_list(cameras: Sequence[HeadCamera]) -> list[dict[str, Any]]:
     return [
         {
-            "id": one.id, **camera_to_dict(one.camera), "rotation": [list(row) for row in one.rotation],
+            "id": one.id,
+            **camera_to_dict(one.camera),
+            "rotation": [list(row) for row in one.rotation],
             "translation_mm": list(one.translation_mm),
         }
         for one in cameras
-    ]  # fmt: skip
+    ]
 
 
 def _beside(top: Mapping[str, Any]) -> dict[str, Any]:
@@ -363,9 +370,15 @@ def _corrections(rings: Sequence[tuple[Cone, RingCorrection | None]]) -> tuple[R
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
     section: dict[str, Any] = {
-        "model": camera.model, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
-        "cx": camera.cx, "cy": camera.cy, "distortion": list(camera.distortion),
-    }  # fmt: skip
+        "model": camera.model,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "distortion": list(camera.distortion),
+    }
     if camera.mirror is not None:
         ball = camera.mirror
         section["mirror"] = {"centre_mm": list(ball.centre_mm), "radius_mm": ball.radius_mm, "looks": ball.looks}

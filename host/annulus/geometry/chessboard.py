@@ -133,10 +133,7 @@ def _corners(grey: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatAr
     ways, contrast = np.full((len(at), 4), np.nan), np.zeros(len(at))
     for radius in RINGS_PX:
         todo = np.flatnonzero(np.isnan(ways[:, 0]))
-        ring = _sample(
-            light,
-            at[todo, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1),
-        )
+        ring = _sample(light, at[todo, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
         ways[todo], contrast[todo] = _sectors(ring)
     noise = robust_sigma(light - cv2.GaussianBlur(light, (0, 0), 1.6))
     good = np.isfinite(ways[:, 0]) & (contrast > CLEAR * noise)

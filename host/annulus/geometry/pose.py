@@ -29,8 +29,17 @@ def rotation_z(angle: float) -> FloatArray:
 def rotations(rx: FloatArray, ry: FloatArray, roll: FloatArray) -> FloatArray:
     """(N, 3, 3) of many poses, Rx(rx) Ry(ry) Rz(-roll)."""
     (ca, sa), (cb, sb), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (rx, ry, -roll))
-    rows = [cb * cr, -cb * sr, sb, ca * sr + sa * sb * cr, ca * cr - sa * sb * sr, -sa * cb,
-            sa * sr - ca * sb * cr, sa * cr + ca * sb * sr, ca * cb]  # fmt: skip
+    rows = [
+        cb * cr,
+        -cb * sr,
+        sb,
+        ca * sr + sa * sb * cr,
+        ca * cr - sa * sb * sr,
+        -sa * cb,
+        sa * sr - ca * sb * cr,
+        sa * cr + ca * sb * sr,
+        ca * cb,
+    ]
     return np.stack(rows, axis=1).reshape(-1, 3, 3)
 
 

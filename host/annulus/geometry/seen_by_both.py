@@ -134,9 +134,11 @@ def _rows(
     lens[:a, : lens_a.shape[2]], lens[a:, lens_a.shape[2] :] = lens_a.reshape(a, -1), lens_b.reshape(b, -1)
     by_placement = np.concatenate([np.zeros((a, 6)), placement.reshape(b, 6)])
     return (
-        np.concatenate([off_a.ravel(), off_b.ravel()]), by_placement,
-        np.concatenate([pose_a.reshape(a, 6), pose.reshape(b, 6)]), lens,
-    )  # fmt: skip
+        np.concatenate([off_a.ravel(), off_b.ravel()]),
+        by_placement,
+        np.concatenate([pose_a.reshape(a, 6), pose.reshape(b, 6)]),
+        lens,
+    )
 
 
 def _past_pose(off: FloatArray, by: FloatArray, by_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,9 +148,12 @@ def _past_pose(off: FloatArray, by: FloatArray, by_pose: FloatArray) -> tuple[Fl
 
 
 def _adjusted(
-    first: Intrinsics, second: Intrinsics, pairs: Sequence[tuple[TargetObservation, TargetObservation]], state: _State,
+    first: Intrinsics,
+    second: Intrinsics,
+    pairs: Sequence[tuple[TargetObservation, TargetObservation]],
+    state: _State,
     used: NDArray[np.bool_],
-) -> _State:  # fmt: skip
+) -> _State:
     """Gauss-Newton over the placement and the poses of the moments used."""
     for _ in range(STEPS):
         rows = {m: _rows(first, second, pairs[m], state, m) for m in map(int, np.flatnonzero(used))}
@@ -181,9 +186,12 @@ def _poses_moved(
 
 
 def _rms(
-    first: Intrinsics, second: Intrinsics, pairs: Sequence[tuple[TargetObservation, TargetObservation]], state: _State,
+    first: Intrinsics,
+    second: Intrinsics,
+    pairs: Sequence[tuple[TargetObservation, TargetObservation]],
+    state: _State,
     m: int,
-) -> float:  # fmt: skip
+) -> float:
     """What a moment leaves over when its pose suits a placement that is given."""
     for _ in range(STEPS // 2):
         state = _poses_moved(state, {m: _rows(first, second, pairs[m], state, m)}, np.zeros(6))
@@ -195,9 +203,13 @@ def _mean_px(*parts: FloatArray) -> float:
 
 
 def _covariance(
-    first: Intrinsics, second: Intrinsics, moments: Sequence[Moment],
-    pairs: Sequence[tuple[TargetObservation, TargetObservation]], state: _State, used: NDArray[np.bool_],
-) -> FloatArray:  # fmt: skip
+    first: Intrinsics,
+    second: Intrinsics,
+    moments: Sequence[Moment],
+    pairs: Sequence[tuple[TargetObservation, TargetObservation]],
+    state: _State,
+    used: NDArray[np.bool_],
+) -> FloatArray:
     """Of the small turn and the centre: see `Placed`. A moment left out moves the placement by what it says of it, and
     by what it, and a photograph without a partner, says of its lens."""
     lenses = first.moves.shape[1] + second.moves.shape[1]

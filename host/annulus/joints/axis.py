@@ -46,8 +46,9 @@ class Axis:
         return across, np.cross(along, across), along
 
 
-def outer_surface(image: Float32Array, centre: tuple[float, float], pixel: tuple[float, float], level: float,
-                  reach_mm: float) -> FloatArray:  # fmt: skip
+def outer_surface(
+    image: Float32Array, centre: tuple[float, float], pixel: tuple[float, float], level: float, reach_mm: float
+) -> FloatArray:
     """(ANGLES,) mm from the centre (x, y, mm) to the outermost place where the grey falls below `level`, or NaN."""
     step = 0.5 * min(pixel)
     rho = np.arange(0.0, reach_mm, step)

@@ -61,7 +61,7 @@ def leave_one_out(
     right = [one is not None and one == true for one, true in zip(called, good, strict=True)]
     return Clusters(
         called, float(np.mean(right)), balanced, (1 + as_good) / (1 + dealt), max(1 / (1 + dealt), 1 / ways)
-    )  # fmt: skip
+    )
 
 
 def _called(values: FloatArray, good: BoolArray, members: list[IntArray]) -> list[bool | None]:

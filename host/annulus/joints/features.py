@@ -22,21 +22,30 @@ def features(joint: JointImage) -> dict[str, Any]:
     phi_deg = np.degrees(joint.phi)
     return {
         "phi_deg": phi_deg,
-        "W": zone.width, "W_sigma": zone.width_sigma,
-        "T": joint.thickness_mm, "T_sigma": joint.thickness_sigma_mm,
+        "W": zone.width,
+        "W_sigma": zone.width_sigma,
+        "T": joint.thickness_mm,
+        "T_sigma": joint.thickness_sigma_mm,
         "crest": joint.crest_mm,
-        "wo": outside.width, "ho": outside.height, "no": outside.notch,
-        "wi": inside.width, "hi": inside.height, "ni": inside.notch,
-        "haz": 1 - zone.drop, "haz_sigma": zone.drop_sigma,
-        "ro": joint.outer_sides.at_mm, "ri": joint.inner_sides.at_mm,
-        "hilo_out": joint.outer_sides.hilo_mm, "hilo_in": joint.inner_sides.hilo_mm,
+        "wo": outside.width,
+        "ho": outside.height,
+        "no": outside.notch,
+        "wi": inside.width,
+        "hi": inside.height,
+        "ni": inside.notch,
+        "haz": 1 - zone.drop,
+        "haz_sigma": zone.drop_sigma,
+        "ro": joint.outer_sides.at_mm,
+        "ri": joint.inner_sides.at_mm,
+        "hilo_out": joint.outer_sides.hilo_mm,
+        "hilo_in": joint.inner_sides.hilo_mm,
         "zj": joint.fusion_mm,
         "found": [
             {name: getattr(flaw, name) for name in flaw.__slots__}
             | {"from_joint_mm": flaw.z - float(np.interp(flaw.phi_deg, phi_deg, joint.fusion_mm, period=360))}
             for flaw in joint.flaws
         ],
-    }  # fmt: skip
+    }
 
 
 def summary(joint: JointImage) -> dict[str, Any]:
@@ -59,11 +68,15 @@ def summary(joint: JointImage) -> dict[str, Any]:
         "wall_mm": span(joint.wall_mm),
         "lean_deg": round(axis.lean_deg, 3),
         "joint_z_mm": round(float(np.mean(joint.fusion_mm)), 3),
-        "W_mm": span(joint.zone.width), "W_sigma_mm": span(joint.zone.width_sigma)["median"],
-        "T_mm": span(joint.thickness_mm), "T_sigma_mm": span(joint.thickness_sigma_mm)["median"],
+        "W_mm": span(joint.zone.width),
+        "W_sigma_mm": span(joint.zone.width_sigma)["median"],
+        "T_mm": span(joint.thickness_mm),
+        "T_sigma_mm": span(joint.thickness_sigma_mm)["median"],
         "zone_density_percent": span(100 * (1 - joint.zone.drop)),
-        "bead_out_width_mm": span(joint.bead_out.width), "bead_out_height_mm": span(joint.bead_out.height),
-        "bead_in_width_mm": span(joint.bead_in.width), "bead_in_height_mm": span(joint.bead_in.height),
+        "bead_out_width_mm": span(joint.bead_out.width),
+        "bead_out_height_mm": span(joint.bead_out.height),
+        "bead_in_width_mm": span(joint.bead_in.width),
+        "bead_in_height_mm": span(joint.bead_in.height),
         "hilo_mm": {
             "axes_aside": round(float(np.hypot(aside[0], aside[1])), 4),
             "towards_deg": round(float(np.degrees(np.arctan2(aside[1], aside[0])) % 360), 1),
@@ -74,14 +87,17 @@ def summary(joint: JointImage) -> dict[str, Any]:
         "angles_without_zone": int(np.isnan(joint.zone.width).sum()),
         "angles_without_bead": int((np.isnan(joint.bead_out.width) | np.isnan(joint.bead_in.width)).sum()),
         "found": {kind: sum(flaw.kind == kind for flaw in joint.flaws) for kind in ("void", "grain", "gap")},
-    }  # fmt: skip
+    }
 
 
 def maps(joint: JointImage) -> Mapping[str, FloatArray]:
     """(Z, P) maps, and their axes `z_mm` (Z,) and `phi_deg` (P,)."""
     return {
-        "z_mm": joint.z_mm, "phi_deg": np.degrees(joint.phi), "density": joint.density,
-        "outer_mm": joint.outer, "inner_mm": joint.inner,
+        "z_mm": joint.z_mm,
+        "phi_deg": np.degrees(joint.phi),
+        "density": joint.density,
+        "outer_mm": joint.outer,
+        "inner_mm": joint.inner,
         "bead_out_mm": joint.outer - joint.outer_sides.along(joint.z_mm),
         "bead_in_mm": joint.inner_sides.along(joint.z_mm) - joint.inner,
-    }  # fmt: skip
+    }

@@ -107,11 +107,15 @@ def flaws_of(
                 Flaw(
                     "grain" if sign > 0 else "gap" if flat else "void",
                     float(((centre[1] + start) * 360 / count) % 360),
-                    float(inner[k, j] + part * (outer[k, j] - inner[k, j])), z,
+                    float(inner[k, j] + part * (outer[k, j] - inner[k, j])),
+                    z,
                     float((np.ptp(at[:, 1]) + 1) * 360 / count),
-                    float(size[0]), float(size[2]), float(over[tuple(at[strong])]), float(top[n - 1]),
+                    float(size[0]),
+                    float(size[2]),
+                    float(over[tuple(at[strong])]),
+                    float(top[n - 1]),
                 )
-            )  # fmt: skip
+            )
             # Its blur reaches a voxel further than what is over the threshold.
             z0, j0, u0 = (np.maximum(at.min(axis=0) - 1, 0)).tolist()
             z1, j1, u1 = (at.max(axis=0) + 2).tolist()
@@ -150,7 +154,13 @@ def _both(a: Flaw, b: Flaw, turn: float) -> Flaw:
     part = b.arc_deg / (a.arc_deg + b.arc_deg)
     strong = a if a.snr >= b.snr else b
     return Flaw(
-        "gap", (a.phi_deg + 0.5 * (low + high)) % 360, a.rho + part * (b.rho - a.rho), a.z + part * (b.z - a.z),
+        "gap",
+        (a.phi_deg + 0.5 * (low + high)) % 360,
+        a.rho + part * (b.rho - a.rho),
+        a.z + part * (b.z - a.z),
         high - low,
-        max(a.length_mm, b.length_mm), max(a.depth_mm, b.depth_mm), strong.contrast, strong.snr,
-    )  # fmt: skip
+        max(a.length_mm, b.length_mm),
+        max(a.depth_mm, b.depth_mm),
+        strong.contrast,
+        strong.snr,
+    )

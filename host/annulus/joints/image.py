@@ -177,8 +177,16 @@ def hardening(outer: FloatArray, inner: FloatArray, plain: BoolArray) -> FloatAr
     return np.repeat(np.where(plain, 0.0, -HARDENED * added)[:, None], wall.shape[1], axis=1)
 
 
-def bead_over(surface: FloatArray, sides: Sides, sign: int, z_mm: FloatArray, span: tuple[float, float], voxel: float,
-              fusion: FloatArray | None = None, sigma: float = 0.0) -> Bead:  # fmt: skip
+def bead_over(
+    surface: FloatArray,
+    sides: Sides,
+    sign: int,
+    z_mm: FloatArray,
+    span: tuple[float, float],
+    voxel: float,
+    fusion: FloatArray | None = None,
+    sigma: float = 0.0,
+) -> Bead:
     """The bead on a surface (Z, P), sign 1 outside and -1 inside; its sides' step taken out if the plane is known."""
     half = 0.5 * sign * sides.hilo_mm
     plain, offset = sides.middle(z_mm), np.stack([-half, half])
@@ -207,8 +215,17 @@ def fusion_plane(outside: Bead, inside: Bead, joint: float) -> FloatArray:
     return np.asarray(fit @ terms)
 
 
-def _wall(volume: Volume, found: Found, z_mm: FloatArray, phi: FloatArray, rho: FloatArray, inner: Sides, outer: Sides,
-          voxel: float, progress: Progress) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:  # fmt: skip
+def _wall(
+    volume: Volume,
+    found: Found,
+    z_mm: FloatArray,
+    phi: FloatArray,
+    rho: FloatArray,
+    inner: Sides,
+    outer: Sides,
+    voxel: float,
+    progress: Progress,
+) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
     """Grey of the wall between its plain surfaces, (Z, P, U), and these, (Z, P)."""
     low, high = inner.along(z_mm), outer.along(z_mm)
     depth = max(8, math.ceil(found.wall_mm / voxel))

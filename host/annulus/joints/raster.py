@@ -226,17 +226,29 @@ def place(raster: Raster, surface: Surface, seed: int = 0) -> Placed:
     joint, material = _laid(raster, surface, fit, found, rows, gains, sense, along, shift)
     others = tuple(
         (*key, (one[1].shift - key[0] * raster.angle[0]) % (2 * math.pi))
-        for key, one in best.items() if 0 < worse[key] < ODDS
-    )  # fmt: skip
+        for key, one in best.items()
+        if 0 < worse[key] < ODDS
+    )
     return Placed(
-        accepted=not why, why="; ".join(why),
-        shift=shift, shift_sigma=math.sqrt(covariance[0, 0]),
-        sense=sense if sides["s"] > ODDS else 0, along=along if sides["a"] > ODDS else 0,
-        best_sense=sense, best_along=along, others=others,
-        raster_joint_mm=found.z, raster_joint_sigma_mm=math.sqrt(covariance[1, 1]),
-        blur_mm=(found.round_mm, found.along_mm), odds=odds, explained=explained, p=p,
-        gains=gains, joint_mv=joint, material_mv=material,
-    )  # fmt: skip
+        accepted=not why,
+        why="; ".join(why),
+        shift=shift,
+        shift_sigma=math.sqrt(covariance[0, 0]),
+        sense=sense if sides["s"] > ODDS else 0,
+        along=along if sides["a"] > ODDS else 0,
+        best_sense=sense,
+        best_along=along,
+        others=others,
+        raster_joint_mm=found.z,
+        raster_joint_sigma_mm=math.sqrt(covariance[1, 1]),
+        blur_mm=(found.round_mm, found.along_mm),
+        odds=odds,
+        explained=explained,
+        p=p,
+        gains=gains,
+        joint_mv=joint,
+        material_mv=material,
+    )
 
 
 def at_joint(values: FloatArray, z_mm: FloatArray, fusion_mm: FloatArray, half_mm: float = 3.0) -> FloatArray:
@@ -288,9 +300,11 @@ def _refined(fit: _Fit, begin: _Place) -> tuple[float, _Place, _Fit, tuple[BoolA
     x = _vector(begin)
     spread = np.diag([2 * math.pi / fit.n, 0.5, 0.3, 0.3])
     found = minimize(
-        lambda v: fit.cost(_place(v), rows), x, method="Nelder-Mead",
+        lambda v: fit.cost(_place(v), rows),
+        x,
+        method="Nelder-Mead",
         options={"initial_simplex": np.vstack([x, x + spread]), "xatol": 1e-3, "fatol": 1e-6, "maxfev": 300},
-    )  # fmt: skip
+    )
     return float(found.fun), _place(found.x), fit, rows
 
 
@@ -365,8 +379,17 @@ def _noise(values: FloatArray) -> float:
     return 1.4826 * rough / math.sqrt(6) + 1e-9
 
 
-def _laid(raster: Raster, surface: Surface, fit: _Fit, place: _Place, rows: tuple[BoolArray, BoolArray],
-          gains: FloatArray, sense: int, along: int, shift: float) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+def _laid(
+    raster: Raster,
+    surface: Surface,
+    fit: _Fit,
+    place: _Place,
+    rows: tuple[BoolArray, BoolArray],
+    gains: FloatArray,
+    sense: int,
+    along: int,
+    shift: float,
+) -> tuple[FloatArray, FloatArray]:
     """(c, Z, P) on the CT's grid: the raster over plain wall, and the same with the share of the bead taken out."""
     maps, values, lift = fit.at(place, rows)
     material = values - (gains[:, :1] + gains[:, 2:] * lift)[:, None] * maps[0]

@@ -165,13 +165,22 @@ def correlate(
     least_of_all = p.min(axis=1)
     return [
         Relation(
-            name, r, float(shifts[peak]), int(senses[peak]), float(p[0, column]),
+            name,
+            r,
+            float(shifts[peak]),
+            int(senses[peak]),
+            float(p[0, column]),
             float(np.mean(least_of_all <= p[0, column])),
-            _share(best[:, column], float(best[:, column].max())), rotated[column][0], rotated[column][1],
-            float(pearsonr(seen, strengths.energy).pvalue), *distances[column], seen, best[1:, column],
+            _share(best[:, column], float(best[:, column].max())),
+            rotated[column][0],
+            rotated[column][1],
+            float(pearsonr(seen, strengths.energy).pvalue),
+            *distances[column],
+            seen,
+            best[1:, column],
         )
         for column, (name, (r, peak, seen)) in enumerate(zip(features, peaks, strict=True))
-    ]  # fmt: skip
+    ]
 
 
 def power(

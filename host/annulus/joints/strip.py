@@ -105,16 +105,36 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     left = HILO_LEFT * 0.5 * float(sides[0].hilo_mm[0] + sides[1].hilo_mm[0])
     zone = _zone(block, rho, z_mm, surface, plain, air_grey, joint, fusion, beads, own, voxel, parts)
     return StripImage(
-        float(zone[0]), float(zone[1]), own + float(sum(bead.notch[0] for bead in both)),
+        float(zone[0]),
+        float(zone[1]),
+        own + float(sum(bead.notch[0] for bead in both)),
         math.hypot(noise, blur, left, finer),
-        own, pose.width, float(1 - zone[2]), float(zone[3]), pose.axis.lean_deg,
-        z_mm, rho, block.mean(axis=1), float(fusion[0]),
-    )  # fmt: skip
+        own,
+        pose.width,
+        float(1 - zone[2]),
+        float(zone[3]),
+        pose.axis.lean_deg,
+        z_mm,
+        rho,
+        block.mean(axis=1),
+        float(fusion[0]),
+    )
 
 
-def _zone(block: Float32Array, rho: FloatArray, z_mm: FloatArray, surface: list[FloatArray], plain: BoolArray,
-          air_grey: float, joint: float, fusion: FloatArray, beads: tuple[float, float], wall: float, voxel: float,
-          parts: Parts) -> tuple[float, float, float, float]:  # fmt: skip
+def _zone(
+    block: Float32Array,
+    rho: FloatArray,
+    z_mm: FloatArray,
+    surface: list[FloatArray],
+    plain: BoolArray,
+    air_grey: float,
+    joint: float,
+    fusion: FloatArray,
+    beads: tuple[float, float],
+    wall: float,
+    voxel: float,
+    parts: Parts,
+) -> tuple[float, float, float, float]:
     """W, its sigma, drop, its sigma; NaN where no zone is told."""
     # The plain faces' own shape across the strip, straight along it.
     low, high = (sides_of(face, z_mm, plain, joint, 0.0).along(z_mm) for face in (surface[1], surface[0]))
@@ -208,8 +228,9 @@ def _is_hollow(points: FloatArray, voxel_mm: tuple[float, float, float]) -> bool
     return bool(np.min(np.hypot(*(points - middle).T)) > 2 * max(voxel_mm[1:]))
 
 
-def _block(volume: Volume, pose: _Pose, z_mm: FloatArray, aside: FloatArray, rho: FloatArray,
-           progress: Progress) -> Float32Array:  # fmt: skip
+def _block(
+    volume: Volume, pose: _Pose, z_mm: FloatArray, aside: FloatArray, rho: FloatArray, progress: Progress
+) -> Float32Array:
     """(Z, U, R) grey at right angles to the strip: along it, across its width, through its thickness."""
     dz, dy, dx = volume.voxel_mm
     across, down, along = pose.axis.frame()

@@ -89,8 +89,9 @@ def smooth_round(values: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(gaussian_filter1d(values, sigma, axis=-1, mode="wrap")) if sigma > 0.05 else values
 
 
-def plain_planes(outer: FloatArray, inner: FloatArray, z_mm: FloatArray, joint_mm: float, wall_mm: float,
-                 voxel_mm: float) -> tuple[BoolArray, tuple[float, float]]:  # fmt: skip
+def plain_planes(
+    outer: FloatArray, inner: FloatArray, z_mm: FloatArray, joint_mm: float, wall_mm: float, voxel_mm: float
+) -> tuple[BoolArray, tuple[float, float]]:
     """(Z,) planes of plain wall only, and where beads begin and end along z, mm. `outer`, `inner` (Z, P), mm."""
     wall = outer - inner
     smooth = uniform_filter1d(wall, max(3, wall.shape[1] // 90), axis=1, mode="wrap")
@@ -118,8 +119,9 @@ def plain_planes(outer: FloatArray, inner: FloatArray, z_mm: FloatArray, joint_m
     return plain, (float(z_mm[low]), float(z_mm[high]))
 
 
-def sides_of(surface: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: float, sigma_phi: float,
-             floor_mm: float = 0.0) -> Sides:  # fmt: skip
+def sides_of(
+    surface: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: float, sigma_phi: float, floor_mm: float = 0.0
+) -> Sides:
     """The plain surface of each side as a line along z at every angle, robust. surface : (Z, P) mm.
 
     floor_mm : what a reconstruction's own unevenness, alike in all slices, puts under every sigma.

@@ -102,9 +102,21 @@ def transmission(z_mm: FloatArray, mv: FloatArray, thickness_mm: FloatArray | No
     deviation = np.sqrt(np.maximum(uniform_filter1d(filled**2, window, axis=1) - mean**2, 0.0))
     inner = plain & (z_mm > z_mm[0] + WINDOW_MM) & (z_mm < z_mm[-1] - WINDOW_MM)
     return Transmission(
-        z_mm, shift, sigma, joint, absorbance, gradient, deviation, depth, depth_sigma, level + own, alpha, alpha_sigma,
-        float(np.quantile(np.abs(gradient[:, inner]), 0.9975)), float(np.quantile(deviation[:, inner], 0.9975)),
-    )  # fmt: skip
+        z_mm,
+        shift,
+        sigma,
+        joint,
+        absorbance,
+        gradient,
+        deviation,
+        depth,
+        depth_sigma,
+        level + own,
+        alpha,
+        alpha_sigma,
+        float(np.quantile(np.abs(gradient[:, inner]), 0.9975)),
+        float(np.quantile(deviation[:, inner], 0.9975)),
+    )
 
 
 def _aligned(z: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

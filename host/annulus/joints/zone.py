@@ -101,8 +101,16 @@ def _spread(residual: FloatArray) -> float:
     return robust_sigma(residual) * math.sqrt((1 + max(alike, 0)) / max(1 - max(alike, 0), 0.1))
 
 
-def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_mm: FloatArray, centre_mm: FloatArray,
-            beads: tuple[float, float], wall_mm: float, voxel_mm: float) -> tuple[Zone, float]:  # fmt: skip
+def zone_of(
+    density: FloatArray,
+    bands: FloatArray | None,
+    shade: FloatArray,
+    z_mm: FloatArray,
+    centre_mm: FloatArray,
+    beads: tuple[float, float],
+    wall_mm: float,
+    voxel_mm: float,
+) -> tuple[Zone, float]:
     """The zone at every angle, and how much of `shade` the density has.
 
     density : (Z, P) relative to plain wall, less one; NaN where not known. bands : (Z, P, B) the same at B depths;
@@ -147,8 +155,16 @@ def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_
     return Zone(*(_round_again(row, fitted, count) for row in found)), shape.share
 
 
-def _by_shade(mean: FloatArray, dark: FloatArray, t: FloatArray, start: FloatArray, shape: Shape, noise: float,
-              low: FloatArray, high: FloatArray) -> tuple[float, float]:  # fmt: skip
+def _by_shade(
+    mean: FloatArray,
+    dark: FloatArray,
+    t: FloatArray,
+    start: FloatArray,
+    shape: Shape,
+    noise: float,
+    low: FloatArray,
+    high: FloatArray,
+) -> tuple[float, float]:
     """What the shade's sigma makes of a width, mm, and of a drop: alike at all angles."""
     more, less = (_fit(start, t, mean + way * shape.share_sigma * dark, shape, noise, low, high) for way in (1.0, -1.0))
     return 0.5 * abs(float(more[1] - more[0] - less[1] + less[0])), 0.5 * abs(float(more[3] - less[3]))
@@ -167,13 +183,19 @@ def _brought(values: FloatArray, z_mm: FloatArray, centre_mm: FloatArray, t: Flo
     return np.asarray(gaussian_filter1d(value * weight, sigma, axis=1, mode="wrap") / np.maximum(total, 1e-9))
 
 
-def _fit(start: FloatArray, t: FloatArray, value: FloatArray, shape: Shape, noise: float, low: FloatArray,
-         high: FloatArray) -> FloatArray:  # fmt: skip
+def _fit(
+    start: FloatArray, t: FloatArray, value: FloatArray, shape: Shape, noise: float, low: FloatArray, high: FloatArray
+) -> FloatArray:
     done = least_squares(
-        lambda p: (_model(p, t, shape)[0] - value) / noise, np.clip(start, low + 1e-9, high - 1e-9),
-        lambda p: _model(p, t, shape)[1] / noise, bounds=(low, high), loss="cauchy", f_scale=2.5, max_nfev=60,
+        lambda p: (_model(p, t, shape)[0] - value) / noise,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        lambda p: _model(p, t, shape)[1] / noise,
+        bounds=(low, high),
+        loss="cauchy",
+        f_scale=2.5,
+        max_nfev=60,
         x_scale=np.array([1.0, 1.0, 0.5, 0.01, 0.01, 0.001]),
-    )  # fmt: skip
+    )
     return np.asarray(done.x)
 
 

@@ -22,8 +22,21 @@ Row = dict[str, Any]
 Write = Callable[[Row], None]
 
 UNPLACED_AFTER = 128  # edges: one that was heard so many edges ago and is not placed never will be
-LABEL = ("camera", "arrived_ns", "index", "label", "reason", "edge", "slot", "odometer", "z_mm", "roll_deg",
-         "z_assumed", "z_bound_mm", "segment")  # fmt: skip
+LABEL = (
+    "camera",
+    "arrived_ns",
+    "index",
+    "label",
+    "reason",
+    "edge",
+    "slot",
+    "odometer",
+    "z_mm",
+    "roll_deg",
+    "z_assumed",
+    "z_bound_mm",
+    "segment",
+)
 METADATA = (
     "Light",
     "ZMm",
@@ -127,21 +140,36 @@ class Journal:
         flash = seen.flash
         heard = self._heard.pop((flash.edge, flash.tick % (1 << 32)), None)
         self.note(
-            "edge", epoch=seen.boot_epoch, nonce=seen.nonce, host_ns=seen.host_ns, error_ns=seen.error_ns,
-            **_plain(flash), **({"heard_ns": heard.at_ns, "recovered": heard.recovered} if heard is not None else {}),
-        )  # fmt: skip
+            "edge",
+            epoch=seen.boot_epoch,
+            nonce=seen.nonce,
+            host_ns=seen.host_ns,
+            error_ns=seen.error_ns,
+            **_plain(flash),
+            **({"heard_ns": heard.at_ns, "recovered": heard.recovered} if heard is not None else {}),
+        )
 
     def saw(
-        self, camera: int, sequence: CameraSequence | None, timestamp_ns: int, arrived_ns: int, picture: Photometry,
+        self,
+        camera: int,
+        sequence: CameraSequence | None,
+        timestamp_ns: int,
+        arrived_ns: int,
+        picture: Photometry,
         metadata: Mapping[str, Any],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """A frame, before its label."""
         if self._write is None:
             return
         self.note(
-            "frame", camera=camera, sequence=sequence, timestamp_ns=timestamp_ns, arrived_ns=arrived_ns,
-            picture=_picture(picture), metadata={key: metadata[key] for key in METADATA if key in metadata},
-        )  # fmt: skip
+            "frame",
+            camera=camera,
+            sequence=sequence,
+            timestamp_ns=timestamp_ns,
+            arrived_ns=arrived_ns,
+            picture=_picture(picture),
+            metadata={key: metadata[key] for key in METADATA if key in metadata},
+        )
 
     def looks(self, camera: int, now_s: float) -> bool:
         """Whether anything has come since a camera looked for its offset. What is not written down does not happen."""

@@ -145,10 +145,14 @@ class Labelling:
         self._next_look = now_s + TRY_PERIODS * self._mode.period_ns / 1e9
         try:
             offset = calibrate_offset(
-                self._seen, self._navigation.edges, self._mode.period_ns,
-                arrivals=Witness.ARRIVAL not in self._without, preamble=Witness.PREAMBLE not in self._without,
-                before=self._pairing.before, adrift=self._pairing.adrift,
-            )  # fmt: skip
+                self._seen,
+                self._navigation.edges,
+                self._mode.period_ns,
+                arrivals=Witness.ARRIVAL not in self._without,
+                preamble=Witness.PREAMBLE not in self._without,
+                before=self._pairing.before,
+                adrift=self._pairing.adrift,
+            )
         except AnnulusError as error:
             self._unproved = str(error)
             return
@@ -187,24 +191,46 @@ class Labelling:
         mode, flash = self._mode, said.flash
         place = self._navigation.odometer.place(flash)
         known = FrameHeader(
-            self._index((flash.epoch, flash.edge)), frame.sequence, frame.timestamp_ns, said.label, "",
-            flash.edge, None if EdgeFlag.PREAMBLE in flash.flags else flash.slot,
+            self._index((flash.epoch, flash.edge)),
+            frame.sequence,
+            frame.timestamp_ns,
+            said.label,
+            "",
+            flash.edge,
+            None if EdgeFlag.PREAMBLE in flash.flags else flash.slot,
             None if EdgeFlag.ODOMETER_FROZEN in flash.flags else flash.odometer,
-            place.z_mm if place is not None else None, mode.encoding, mode.width, mode.height, camera=mode.camera,
-            arrived_ns=frame.arrived_ns, roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
+            place.z_mm if place is not None else None,
+            mode.encoding,
+            mode.width,
+            mode.height,
+            camera=mode.camera,
+            arrived_ns=frame.arrived_ns,
+            roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
             z_assumed=place.assumed if place is not None else False,
             z_bound_mm=place.bound_mm if place is not None else 0.0,
             segment=place.segment if place is not None else 0,
-        )  # fmt: skip
+        )
         return self._said(known)
 
     def _blank(self, frame: FrameSeen, reason: str, flash: object = None) -> FrameHeader:
         """Of a frame without a label."""
         mode = self._mode
         return FrameHeader(
-            self._index(flash), frame.sequence, frame.timestamp_ns, Label.UNKNOWN, reason, None, None, None, None,
-            mode.encoding, mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
-        )  # fmt: skip
+            self._index(flash),
+            frame.sequence,
+            frame.timestamp_ns,
+            Label.UNKNOWN,
+            reason,
+            None,
+            None,
+            None,
+            None,
+            mode.encoding,
+            mode.width,
+            mode.height,
+            camera=mode.camera,
+            arrived_ns=frame.arrived_ns,
+        )
 
     def _verdict(self, frame: FrameSeen) -> Labelled:
         before = self._pairing.state

@@ -207,9 +207,7 @@ class Replay:
             return now
         if self._navigation.odometer.counted_on(now.edge, now.odometer, place) is None:
             return now
-        return replace(
-            now, z_mm=place.z_mm, z_assumed=place.assumed, z_bound_mm=place.bound_mm, segment=place.segment
-        )  # fmt: skip
+        return replace(now, z_mm=place.z_mm, z_assumed=place.assumed, z_bound_mm=place.bound_mm, segment=place.segment)
 
 
 def _whole(row: Mapping[str, Any], name: str) -> int:
@@ -228,10 +226,17 @@ def _mode(row: Mapping[str, Any]) -> CameraMode:
 
 def _edge(row: Mapping[str, Any]) -> EdgeSeen:
     flash = Flash(
-        EdgeIndex(_whole(row, "edge")), Tick(_whole(row, "tick")), Slot(_whole(row, "slot")), Lamp(row["lamp"]),
-        _whole(row, "delay_ticks"), _whole(row, "width_ticks"), _whole(row, "odometer"), _whole(row, "generation"),
-        _whole(row, "boot"), EdgeFlag(row["flags"]),
-    )  # fmt: skip
+        EdgeIndex(_whole(row, "edge")),
+        Tick(_whole(row, "tick")),
+        Slot(_whole(row, "slot")),
+        Lamp(row["lamp"]),
+        _whole(row, "delay_ticks"),
+        _whole(row, "width_ticks"),
+        _whole(row, "odometer"),
+        _whole(row, "generation"),
+        _whole(row, "boot"),
+        EdgeFlag(row["flags"]),
+    )
     nonce = None if row["nonce"] is None else _whole(row, "nonce")
     return EdgeSeen(flash, _whole(row, "host_ns"), _whole(row, "error_ns"), _whole(row, "epoch"), nonce)
 
@@ -240,12 +245,18 @@ def _frame(row: Mapping[str, Any]) -> FrameSeen:
     picture, sequence = row["picture"], row["sequence"]
     bands, fingerprint = tuple(Light(band) for band in picture["bands"]), picture["fingerprint"]
     return FrameSeen(
-        None if sequence is None else CameraSequence(_whole(row, "sequence")), _whole(row, "timestamp_ns"),
+        None if sequence is None else CameraSequence(_whole(row, "sequence")),
+        _whole(row, "timestamp_ns"),
         _whole(row, "arrived_ns"),
         Photometry(
-            _number(picture, "peak"), _number(picture, "lit"), _number(picture, "spread"), bands,
-            None if fingerprint is None else int(fingerprint, 16), picture.get("top"), picture.get("bottom"),
+            _number(picture, "peak"),
+            _number(picture, "lit"),
+            _number(picture, "spread"),
+            bands,
+            None if fingerprint is None else int(fingerprint, 16),
+            picture.get("top"),
+            picture.get("bottom"),
             float(picture.get("contrast", 0.0)),
         ),
         dict(row["metadata"]),
-    )  # fmt: skip
+    )

@@ -108,10 +108,10 @@ HeadEvent = LinkEvent | EdgeSeen | LampsCut | PhaseChanged
 
 def flash_from(edge: Edge, tick: Tick, boot: int, epoch: int = 0) -> Flash:
     """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
+    lamp = (edge.lamp, edge.delay, edge.width)
     return Flash(
-        EdgeIndex(edge.edge), tick, Slot(edge.slot), edge.lamp, edge.delay, edge.width, edge.odometer,
-        edge.generation, boot, edge.flags, epoch,
-    )  # fmt: skip
+        EdgeIndex(edge.edge), tick, Slot(edge.slot), *lamp, edge.odometer, edge.generation, boot, edge.flags, epoch
+    )
 
 
 class HeadControl:

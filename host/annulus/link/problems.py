@@ -19,8 +19,12 @@ from annulus.link.session import Answer
 from annulus.vocabulary import Lamp
 
 LATCHING = (  # faults that disarm everything until `clear`
-    FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT, FaultCode.INTERLOCK_DISAGREES,
-)  # fmt: skip
+    FaultCode.INTERLOCK,
+    FaultCode.HOST_TIMEOUT,
+    FaultCode.WATCHDOG,
+    FaultCode.LIMIT,
+    FaultCode.INTERLOCK_DISAGREES,
+)
 TAKEN_OVER = "another host has identified itself at the controller"
 STOPPED = "somebody else switched the lamps off"
 

@@ -51,9 +51,11 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name, value, low, high in (
-            ("first_mm", self.first_mm, -1e4, 1e4), ("last_mm", self.last_mm, -1e4, 1e4),
-            ("step_mm", self.step_mm, 1e-3, 100.0), ("settle_ms", self.settle_ms, 0.0, 1e4),
-        ):  # fmt: skip
+            ("first_mm", self.first_mm, -1e4, 1e4),
+            ("last_mm", self.last_mm, -1e4, 1e4),
+            ("step_mm", self.step_mm, 1e-3, 100.0),
+            ("settle_ms", self.settle_ms, 0.0, 1e4),
+        ):
             if not (math.isfinite(value) and low <= value <= high):
                 raise AnnulusError(f"{name} is {value:g}, expected {low:g}..{high:g}")
         if not 3 <= self.angles <= self.steps_per_turn:

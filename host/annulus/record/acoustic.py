@@ -113,11 +113,18 @@ def _from_npz(path: Path, data: Mapping[str, Any]) -> AcousticRecord:
             raise AnnulusError(f'{path}: "{key}" is missing; there are {", ".join(sorted(data)) or "no arrays"}')
     extra = {key[6:]: _plain(data[key]) for key in data if key.startswith("extra_")}
     return _checked(
-        path, data["signals"], data["angles_deg"], _number(path, data, "radius_mm"),
-        _number(path, data, "sampling_rate_hz"), _number(path, data, "t0_s", 0.0),
-        _number(path, data, "sound_speed_m_s", None), _text(data.get("code", "")), _number(path, data, "chip_s", None),
-        int(_number(path, data, "averages", 1.0) or 1), extra,
-    )  # fmt: skip
+        path,
+        data["signals"],
+        data["angles_deg"],
+        _number(path, data, "radius_mm"),
+        _number(path, data, "sampling_rate_hz"),
+        _number(path, data, "t0_s", 0.0),
+        _number(path, data, "sound_speed_m_s", None),
+        _text(data.get("code", "")),
+        _number(path, data, "chip_s", None),
+        int(_number(path, data, "averages", 1.0) or 1),
+        extra,
+    )
 
 
 def _write_ipasc(root: Any, record: AcousticRecord) -> None:
@@ -204,12 +211,18 @@ def _read_ipasc(path: Path, root: Any) -> AcousticRecord:
     speed = meta.get("speed_of_sound")
     extra = {key[14:]: _plain(meta[key][()]) for key in meta if key.startswith("annulus_extra_")}
     return _checked(
-        path, values, angles, radius, number["ad_sampling_rate"], float(meta.get("annulus_t0_s", np.zeros(()))[()]),
+        path,
+        values,
+        angles,
+        radius,
+        number["ad_sampling_rate"],
+        float(meta.get("annulus_t0_s", np.zeros(()))[()]),
         None if speed is None or np.size(speed[()]) != 1 or isinstance(speed[()], bytes) else float(speed[()]),
         _text(meta["annulus_code"][()] if "annulus_code" in meta else ""),
         float(meta["annulus_chip_s"][()]) if "annulus_chip_s" in meta else None,
-        int(meta["annulus_averages"][()]) if "annulus_averages" in meta else 1, extra,
-    )  # fmt: skip
+        int(meta["annulus_averages"][()]) if "annulus_averages" in meta else 1,
+        extra,
+    )
 
 
 def _counted(name: str) -> tuple[int, str]:
@@ -239,9 +252,18 @@ def _on_circle(path: Path, place_mm: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _checked(
-    path: Path, signals: Any, angles: Any, radius: float | None, rate: float | None, t0: float | None,
-    speed: float | None, code: str, chip: float | None, averages: int, extra: Mapping[str, str | float],
-) -> AcousticRecord:  # fmt: skip
+    path: Path,
+    signals: Any,
+    angles: Any,
+    radius: float | None,
+    rate: float | None,
+    t0: float | None,
+    speed: float | None,
+    code: str,
+    chip: float | None,
+    averages: int,
+    extra: Mapping[str, str | float],
+) -> AcousticRecord:
     values, turn = np.asarray(signals), np.asarray(angles, float).reshape(-1)
     if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size > VALUES_MAX:
         raise AnnulusError(

@@ -46,6 +46,9 @@ def jpeg(image: Image, encoding: str) -> bytes:
 
     whole = to_bgr(image, encoding) if is_mosaic(encoding) else image
     settings = [
-        cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-    ]  # fmt: skip
+        cv2.IMWRITE_JPEG_QUALITY,
+        JPEG_QUALITY,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    ]
     return bytes(np.asarray(cv2.imencode(".jpg", whole, settings)[1]).data)

@@ -285,9 +285,14 @@ class Container:
         attachment = Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=content)
         data = _record(attachment)
         listed = AttachmentIndex(
-            offset=self._whole.end, length=len(data), log_time=time_ns, create_time=time_ns, data_size=len(content),
-            name=name, media_type=media_type,
-        )  # fmt: skip
+            offset=self._whole.end,
+            length=len(data),
+            log_time=time_ns,
+            create_time=time_ns,
+            data_size=len(content),
+            name=name,
+            media_type=media_type,
+        )
         if done := self._whole.write([data]):
             self._attachments.append(listed)
         return done
@@ -311,10 +316,16 @@ class Container:
             offsets[channel] = after + sum(map(len, indexes))
             indexes.append(_record(MessageIndex(channel, places)))
         listed = ChunkIndex(
-            chunk_start_offset=begin, chunk_length=9 + inside, compression=codec, compressed_size=length,
-            uncompressed_size=self._size, message_start_time=first, message_end_time=last,
-            message_index_offsets=offsets, message_index_length=sum(map(len, indexes)),
-        )  # fmt: skip
+            chunk_start_offset=begin,
+            chunk_length=9 + inside,
+            compression=codec,
+            compressed_size=length,
+            uncompressed_size=self._size,
+            message_start_time=first,
+            message_end_time=last,
+            message_index_offsets=offsets,
+            message_index_length=sum(map(len, indexes)),
+        )
         if done := self._whole.write([head + codec.encode() + _U64.pack(length), *packed, *indexes]):
             self._indexes.append(_record(listed))
             if self._contents is not None:
@@ -354,8 +365,9 @@ class Container:
             return
         time_ns, begin = (self._times or (0, 0))[1], self._whole.end
         before = [[one.name, one.offset, one.length] for one in self._attachments]
-        channels = {one.id: walked.Channel(one.topic, one.message_encoding, one.schema_id)
-                    for one in self._channels.values()}  # fmt: skip
+        channels = {
+            one.id: walked.Channel(one.topic, one.message_encoding, one.schema_id) for one in self._channels.values()
+        }
         schemas = {one.id: one.name for one in self._schemas.values()}
         try:
             for name, block in self._contents.attachments():
@@ -404,10 +416,16 @@ class Container:
         crc = 0
         first, last = self._times or (0, 0)
         statistics = Statistics(
-            attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts), chunk_count=self._chunks, message_count=self._counts.total(),
-            message_start_time=first, message_end_time=last, metadata_count=0, schema_count=len(self._schemas),
-        )  # fmt: skip
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=self._chunks,
+            message_count=self._counts.total(),
+            message_start_time=first,
+            message_end_time=last,
+            metadata_count=0,
+            schema_count=len(self._schemas),
+        )
         groups: list[tuple[Opcode, Iterable[bytes]]] = [
             (Opcode.SCHEMA, map(_record, self._schemas.values())),
             (Opcode.CHANNEL, map(_record, self._channels.values())),

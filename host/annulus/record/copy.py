@@ -54,9 +54,7 @@ class Recovered:
 
     def to_dict(self) -> dict[str, Any]:
         damage = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in self.damage]
-        return {
-            **self.copied.to_dict(), "torn": self.torn, "cut_frames_at_most": self.cut_frames, "damage": damage,
-        }  # fmt: skip
+        return {**self.copied.to_dict(), "torn": self.torn, "cut_frames_at_most": self.cut_frames, "damage": damage}
 
 
 def copy(
@@ -96,9 +94,12 @@ def recover(recording: Recording, out: Path, progress: Progress | None = None) -
     def last(copied: Copied) -> tuple[str, Mapping[str, Any]]:
         missing = Recovered(copied, torn, cut, damage).missing
         return RECOVERED, {
-            "from": recording.path.name, "torn": torn, "cut_frames_at_most": cut,
-            "damage": [one.text for one in damage[:100]], **missing_note(missing),
-        }  # fmt: skip
+            "from": recording.path.name,
+            "torn": torn,
+            "cut_frames_at_most": cut,
+            "damage": [one.text for one in damage[:100]],
+            **missing_note(missing),
+        }
 
     return Recovered(copy(recording, out, last=last, progress=progress), torn, cut, damage)
 
@@ -131,9 +132,13 @@ def _copied(
     copied = Copied()
     first_ns = min((frame.timestamp_ns for frame in recording.frames), default=0)
     with RecordingWriter(
-        out, calibration=recording.calibration, configuration=recording.configuration or {}, now_ns=first_ns,
-        codec=codec or DEFAULT, clock=clock_of(recording),
-    ) as writer:  # fmt: skip
+        out,
+        calibration=recording.calibration,
+        configuration=recording.configuration or {},
+        now_ns=first_ns,
+        codec=codec or DEFAULT,
+        clock=clock_of(recording),
+    ) as writer:
         for time_ns, _, topic, content in heapq.merge(_notes(recording), _frames(recording), key=lambda one: one[:2]):
             if not isinstance(content, RecordedFrame):
                 sequence, body = content

@@ -62,9 +62,16 @@ def export_folder(
             (partial / name).write_bytes(data)
             slot = recording.label(frame).get("slot")
             rows.append(
-                (frame.index, name, frame.label.value, f"{frame.z_mm:.4f}", frame.camera,
-                 "" if frame.roll_deg is None else f"{frame.roll_deg:.5f}", "" if slot is None else slot)
-            )  # fmt: skip
+                (
+                    frame.index,
+                    name,
+                    frame.label.value,
+                    f"{frame.z_mm:.4f}",
+                    frame.camera,
+                    "" if frame.roll_deg is None else f"{frame.roll_deg:.5f}",
+                    "" if slot is None else slot,
+                )
+            )
         if not rows:
             raise AnnulusError(f"{recording.path}: has no frame that can be read and whose place is known.")
         with (partial / TABLE).open("w", newline="") as file:

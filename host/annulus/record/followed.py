@@ -65,9 +65,11 @@ class Followed:
                 at += _RECORD.size + length
         apart = self.apart.get((frame.index, frame.camera))
         if apart is not None:
-            content = piece(file, apart.offset, apart.length) if apart.chunk is None else bytes(
-                apart.chunk.within(apart.chunk.read(file), apart.offset, apart.length)
-            )  # fmt: skip
+            content = (
+                piece(file, apart.offset, apart.length)
+                if apart.chunk is None
+                else bytes(apart.chunk.within(apart.chunk.read(file), apart.offset, apart.length))
+            )
             head = _HEAD.pack(_MESSAGE, _HEAD.size - 9 + apart.length, apart.channel, apart.sequence, 0, 0)
             labelled = self._is_label(head, content, frame, label)
         if not seen or not (labelled or frame.label is Label.UNKNOWN):

@@ -181,10 +181,15 @@ def _shift(message: Message, label: Mapping[str, Any]) -> int | None:
 
 
 def _check_one(
-    walk: Contents, witness: Callable[[Message, Mapping[str, Any]], int | None], what: str,
-    keys: list[tuple[int, int]], images: Mapping[tuple[int, int], Message], labels: Labels,
-    labelled: Mapping[tuple[int, int], Chunk | None], apart: int = 0,
-) -> None:  # fmt: skip
+    walk: Contents,
+    witness: Callable[[Message, Mapping[str, Any]], int | None],
+    what: str,
+    keys: list[tuple[int, int]],
+    images: Mapping[tuple[int, int], Message],
+    labels: Labels,
+    labelled: Mapping[tuple[int, int], Chunk | None],
+    apart: int = 0,
+) -> None:
     """Raises TwoScansError where sound frames say more than one thing, `apart` or more, of what one scan has one of."""
     differences = {key: value for key in keys if (value := witness(images[key], labels[key])) is not None}
     if not differences or max(differences.values()) - min(differences.values()) <= apart:
@@ -206,9 +211,19 @@ def _is_jpeg(walk: Contents, message: Message) -> bool:
 def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
     known, z_mm, roll_deg, bound_mm, segment = place_of(label)
     return RecordedFrame(
-        index, known, math.nan if z_mm is None else z_mm, image.time_ns, image.offset, image.length, roll_deg, camera,
-        image.chunk, z_bound_mm=bound_mm, segment=segment, jpeg=jpeg,
-    )  # fmt: skip
+        index,
+        known,
+        math.nan if z_mm is None else z_mm,
+        image.time_ns,
+        image.offset,
+        image.length,
+        roll_deg,
+        camera,
+        image.chunk,
+        z_bound_mm=bound_mm,
+        segment=segment,
+        jpeg=jpeg,
+    )
 
 
 _Place = tuple[Label, float | None, float | None, float, int]

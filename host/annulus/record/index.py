@@ -27,13 +27,7 @@ import numpy as np
 import zstandard
 
 from annulus import untrusted
-from annulus.record.walk import (
-    Channel,
-    Chunk,
-    Damage,
-    Message,
-    piece,
-)
+from annulus.record.walk import Channel, Chunk, Damage, Message, piece
 
 NAME = "annulus.index"
 NOTES = "annulus.notes"
@@ -120,12 +114,18 @@ class Block:
     def packed(self) -> bytes:
         chunks = np.frombuffer(self._chunks, U64).reshape(-1, len(CHUNK_COLUMNS))
         rows = np.frombuffer(self._rows, U64).reshape(-1, len(ROW_COLUMNS))
-        return pack({
-            "version": VERSION, "first": self.first, "chunks": len(chunks), "rows": len(rows),
-            "chunk": [_column(chunks[:, i]) for i in range(len(CHUNK_COLUMNS))],
-            "row": [_column(rows[:, i]) for i in range(len(ROW_COLUMNS))],
-            "said": _column(np.frombuffer(self._said, U64)), "labels": bytes(self._labels),
-        })  # fmt: skip
+        return pack(
+            {
+                "version": VERSION,
+                "first": self.first,
+                "chunks": len(chunks),
+                "rows": len(rows),
+                "chunk": [_column(chunks[:, i]) for i in range(len(CHUNK_COLUMNS))],
+                "row": [_column(rows[:, i]) for i in range(len(ROW_COLUMNS))],
+                "said": _column(np.frombuffer(self._said, U64)),
+                "labels": bytes(self._labels),
+            }
+        )
 
 
 def head_of(
@@ -133,10 +133,13 @@ def head_of(
 ) -> dict[str, Any]:
     """What stands behind the blocks."""
     return {
-        "version": VERSION, "chunks": chunks, "rows": rows,
+        "version": VERSION,
+        "chunks": chunks,
+        "rows": rows,
         "channels": [[number, one.topic, one.encoding, one.schema] for number, one in channels.items()],
-        "schemas": [[number, name] for number, name in schemas.items()], **more,
-    }  # fmt: skip
+        "schemas": [[number, name] for number, name in schemas.items()],
+        **more,
+    }
 
 
 def pack(value: Mapping[str, Any]) -> bytes:
@@ -251,9 +254,7 @@ def attached(record: bytes, expected: str = "") -> tuple[str, bytes]:
     return name, data[at + 8 : at + 8 + size]
 
 
-def blocks_of(
-    contents: Contents, label_topic: str, frames: str
-) -> tuple[dict[str, Any], list[bytes], list[bytes]]:  # fmt: skip
+def blocks_of(contents: Contents, label_topic: str, frames: str) -> tuple[dict[str, Any], list[bytes], list[bytes]]:
     """What a walk found, as an index keeps it: the head without its places, blocks, and blocks of notes."""
     numbers = {chunk.offset: number for number, chunk in enumerate(contents.chunks)}
     labels = {number for number, one in contents.channels.items() if one.topic == label_topic}

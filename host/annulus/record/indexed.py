@@ -64,8 +64,9 @@ class Indexed:
         """`notes`: blocks, or where they lie."""
         self.file, self.attachments = file, attachments
         self.channels = {count_of(one[0], 1 << 16): _channel(one) for one in rows_of(head, "channels", 4)}
-        self.schemas = {count_of(one[0], 1 << 16): untrusted.text(one[1], "schema", 256)
-                        for one in rows_of(head, "schemas", 2)}  # fmt: skip
+        self.schemas = {
+            count_of(one[0], 1 << 16): untrusted.text(one[1], "schema", 256) for one in rows_of(head, "schemas", 2)
+        }
         self.compression, self.ended = "", True
         self.data_crc: tuple[int, int] | None = None
         self.cut_messages: int | None = 0
@@ -97,9 +98,13 @@ class Indexed:
         last = self.chunks[-1].offset + self.chunks[-1].length if self.chunks else len(MAGIC)
         ends = np.concatenate([[np.uint64(last)], offset + length]).astype(U64)
         if count and not (
-            np.all(length <= self._end) and np.all(offset <= self._end) and np.all(offset >= ends[:-1])
-            and ends[-1] <= self._end and np.all(size <= PACKED_MAX) and max(crc.max(), messages.max()) < 1 << 32
-        ):  # fmt: skip
+            np.all(length <= self._end)
+            and np.all(offset <= self._end)
+            and np.all(offset >= ends[:-1])
+            and ends[-1] <= self._end
+            and np.all(size <= PACKED_MAX)
+            and max(crc.max(), messages.max()) < 1 << 32
+        ):
             raise ValueError("index: chunks that lie outside the file")
         fresh = [
             Chunk(one[0], one[1], one[2] if one[3] else None, one[4], one[5])
@@ -121,9 +126,8 @@ class Indexed:
         self._take_labels(said, found)
 
     def _check_rows(
-        self, which: Numbers, at: Numbers, bytes_: Numbers, offset: Numbers, length: Numbers, size: Numbers,
-        first: int,
-    ) -> None:  # fmt: skip
+        self, which: Numbers, at: Numbers, bytes_: Numbers, offset: Numbers, length: Numbers, size: Numbers, first: int
+    ) -> None:
         if self._loose:
             ok = len(offset) == 0 and np.all(at <= self._end) and np.all(bytes_ <= self._end)
             if not (ok and np.all(at + bytes_ <= self._end)):
@@ -136,9 +140,12 @@ class Indexed:
         end = start + np.where(size[number] > 0, size[number], length[number]).astype(U64)
         same = which[1:] == which[:-1]
         if not (
-            np.all(bytes_ <= end) and np.all(at >= start) and np.all(at <= end) and np.all(at + bytes_ <= end)
+            np.all(bytes_ <= end)
+            and np.all(at >= start)
+            and np.all(at <= end)
+            and np.all(at + bytes_ <= end)
             and np.all(at[1:][same] >= (at + bytes_)[:-1][same])
-        ):  # fmt: skip
+        ):
             raise ValueError("index: messages that lie outside their chunks")
 
     def _take_labels(self, said: Mapping[str, Any], found: Sequence[Message]) -> None:

@@ -74,9 +74,13 @@ def _places(path: Where) -> Iterator[Where]:
 def _packed(stamp: Stamp, walk: Walk) -> bytes:
     head, blocks, notes = blocks_of(walk, LABEL_TOPIC, FRAME_TOPIC)
     head |= {
-        "stamp": stamp, "ended": walk.ended, "data_crc": walk.data_crc, "cut": walk.cut_messages,
-        "damage": [[one.offset, one.text, one.messages] for one in walk.damage], "attachments": walk.attachments,
-    }  # fmt: skip
+        "stamp": stamp,
+        "ended": walk.ended,
+        "data_crc": walk.data_crc,
+        "cut": walk.cut_messages,
+        "damage": [[one.offset, one.text, one.messages] for one in walk.damage],
+        "attachments": walk.attachments,
+    }
     pieces = [pack(head), *blocks, *notes]
     content = _BEGINS + b"".join(_LENGTH.pack(len(one)) + one for one in pieces)
     return content + struct.pack("<I", zlib.crc32(content))

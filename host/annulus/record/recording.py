@@ -337,9 +337,14 @@ def _joined(parts: list[Recording], torn: bool) -> Recording:
             frames.setdefault((frame.index, frame.camera), replace(frame, part=number))
         labels = {**part._labels, **labels}
     return replace(
-        parts[0], frames=tuple(frames[key] for key in sorted(frames)), torn=torn, _labels=labels, _notes={},
-        damage=_named([(part, part.damage) for part in parts]), parts=tuple(parts),
-    )  # fmt: skip
+        parts[0],
+        frames=tuple(frames[key] for key in sorted(frames)),
+        torn=torn,
+        _labels=labels,
+        _notes={},
+        damage=_named([(part, part.damage) for part in parts]),
+        parts=tuple(parts),
+    )
 
 
 def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, ...]:
@@ -348,9 +353,7 @@ def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, .
 
 
 @contextmanager
-def opened_place(
-    path: Where, known: Told | None, ahead: int = 0
-) -> Iterator[tuple[IO[bytes], int, Told | None]]:  # fmt: skip
+def opened_place(path: Where, known: Told | None, ahead: int = 0) -> Iterator[tuple[IO[bytes], int, Told | None]]:
     """The file of a recording here or in a store, its bytes, and what the store says of it. Raises as `opened` does.
 
     ahead : bytes of a file that is far which are fetched at once, in place of those that are asked for.
@@ -462,10 +465,22 @@ def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recordi
     if offset_ns:
         frames = tuple(replace(frame, timestamp_ns=frame.timestamp_ns - offset_ns) for frame in frames)
     return Recording(
-        path, frames, calibration, configuration, not found.ended, labels, notes, tuple(found.damage),
-        tuple(found.chunks), found.data_crc, part=Part.from_dict(part), utc_offset_ns=offset_ns,
-        cut_frames=found.cut_messages, known=known, index=index,
-    )  # fmt: skip
+        path,
+        frames,
+        calibration,
+        configuration,
+        not found.ended,
+        labels,
+        notes,
+        tuple(found.damage),
+        tuple(found.chunks),
+        found.data_crc,
+        part=Part.from_dict(part),
+        utc_offset_ns=offset_ns,
+        cut_frames=found.cut_messages,
+        known=known,
+        index=index,
+    )
 
 
 def _attached(walk: Walk | Indexed, name: str) -> Mapping[str, Any] | None:

@@ -133,8 +133,9 @@ def told(url: Url) -> Told:
 def _told(info: Any, url: Url) -> Told:
     if info.get("type") == "directory":
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(url))
-    tag = next((info[key] for key in ("ETag", "etag", "generation", "md5Hash", "mtime", "LastModified")
-                if info.get(key)), "")  # fmt: skip
+    tag = next(
+        (info[key] for key in ("ETag", "etag", "generation", "md5Hash", "mtime", "LastModified") if info.get(key)), ""
+    )
     if isinstance(tag, datetime):
         tag = tag.isoformat()
     return Told(int(info["size"] or 0), str(tag))
@@ -267,9 +268,10 @@ def _store(url: Url) -> tuple[Any, str]:
     options: dict[str, Any] = {"use_listings_cache": False}
     if url.scheme in ("s3", "s3a"):
         options["config_kwargs"] = {
-            "connect_timeout": PATIENCE.connect_s, "read_timeout": PATIENCE.answer_s,
+            "connect_timeout": PATIENCE.connect_s,
+            "read_timeout": PATIENCE.answer_s,
             "retries": {"total_max_attempts": 1, "mode": "standard"},
-        }  # fmt: skip
+        }
     elif url.scheme in ("sftp", "ssh"):
         parts = urlsplit(url.text)
         said = {"username": parts.username, "password": parts.password, "port": parts.port}
@@ -320,10 +322,20 @@ def _asked(url: Url, what: str, ask: Callable[[Any, str], _Answer]) -> _Answer:
 
 
 _FOR_EVER = {
-    "NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError", "NoRegionError",
-    "InvalidEndpointURLError", "TokenRetrievalError", "UnauthorizedSSOTokenError", "AuthenticationException",
-    "BadHostKeyException", "PasswordRequiredException", "DefaultCredentialsError", "RefreshError",
-}  # fmt: skip
+    "NoCredentialsError",
+    "PartialCredentialsError",
+    "ProfileNotFound",
+    "ParamValidationError",
+    "NoRegionError",
+    "InvalidEndpointURLError",
+    "TokenRetrievalError",
+    "UnauthorizedSSOTokenError",
+    "AuthenticationException",
+    "BadHostKeyException",
+    "PasswordRequiredException",
+    "DefaultCredentialsError",
+    "RefreshError",
+}
 
 
 def _is_for_ever(error: Exception) -> bool:

@@ -31,16 +31,42 @@ MM_MAX = 1e8
 # summary has, is coarser than its stations. Guarded by tests/regression/table_cut_short.
 END_PART = 0.001
 STATION_COLUMNS = (
-    "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-    "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm",
-)  # fmt: skip
+    "z_mm",
+    "diameter_min_mm",
+    "diameter_max_mm",
+    "diameter_mean_mm",
+    "ovality_f1216_percent",
+    "shape_ovality_f1216_percent",
+    "valid_fraction",
+    "diameter_k2_mm",
+)
 LATER_COLUMNS = (  # files of before 2026 lack them
-    "diameter_x_mm", "diameter_y_mm", "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
-)  # fmt: skip
+    "diameter_x_mm",
+    "diameter_y_mm",
+    "circumference_mm",
+    "circumference_k2_mm",
+    "area_mm2",
+    "area_k2_mm2",
+)
 _PLACE = {
-    "kind", "z_mm", "clock_deg", "clock", "length_mm", "arc_deg", "z_from_mm", "z_to_mm", "depth_mm", "depth_k2_mm",
-    "area_mm2", "all_round", "floor_seen", "hidden_mm", "clock_from_to", "remark", "severity",
-}  # fmt: skip
+    "kind",
+    "z_mm",
+    "clock_deg",
+    "clock",
+    "length_mm",
+    "arc_deg",
+    "z_from_mm",
+    "z_to_mm",
+    "depth_mm",
+    "depth_k2_mm",
+    "area_mm2",
+    "all_round",
+    "floor_seen",
+    "hidden_mm",
+    "clock_from_to",
+    "remark",
+    "severity",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +117,7 @@ def scanned(summary: Mapping[str, Any]) -> tuple[float, float]:
     return first, last
 
 
-def read_stations(
-    folder: Path, summary: Mapping[str, Any], optional: Sequence[str] = ()
-) -> dict[str, FloatArray]:  # fmt: skip
+def read_stations(folder: Path, summary: Mapping[str, Any], optional: Sequence[str] = ()) -> dict[str, FloatArray]:
     """stations.csv: column -> (S,), NaN where empty; z_mm rises. `optional` columns are all NaN where the file has them
     not. summary : of the same folder. Raises OSError and ValueError, also where stations are missing."""
     try:
@@ -205,21 +229,28 @@ def _place(found: Mapping[str, Any], what: str) -> Place:
         return None if value is None else within(value, f"{what}.{name}", 0.0, 1e12)
 
     z, length = mm("z_mm"), mm("length_mm", 0.0)
-    first, last = (mm(name) if name in found else z + half for name, half in (("z_from_mm", -length / 2),
-                                                                               ("z_to_mm", length / 2)))  # fmt: skip
+    first, last = (
+        mm(name) if name in found else z + half for name, half in (("z_from_mm", -length / 2), ("z_to_mm", length / 2))
+    )
     severity = found.get("severity")
     return Place(
         kind=text(found.get("kind"), f"{what}.kind", 100),
-        z_mm=z, z_from_mm=first, z_to_mm=last, length_mm=length,
+        z_mm=z,
+        z_from_mm=first,
+        z_to_mm=last,
+        length_mm=length,
         clock_deg=within(found.get("clock_deg"), f"{what}.clock_deg", -360.0, 360.0) % 360.0,
         arc_deg=within(found.get("arc_deg"), f"{what}.arc_deg", 0.0, 360.0),
-        depth_mm=maybe("depth_mm"), depth_k2_mm=maybe("depth_k2_mm"), area_mm2=maybe("area_mm2"),
-        hidden_mm=maybe("hidden_mm"), floor_seen=found.get("floor_seen") is not False,
+        depth_mm=maybe("depth_mm"),
+        depth_k2_mm=maybe("depth_k2_mm"),
+        area_mm2=maybe("area_mm2"),
+        hidden_mm=maybe("hidden_mm"),
+        floor_seen=found.get("floor_seen") is not False,
         remark=text(found.get("remark") or "", f"{what}.remark", TEXT_MAX),
         severity="" if severity is None else ", ".join(texts({"severity": severity}, what).values()),
         decision=text(found.get("decision") or "", f"{what}.decision", 100),
         measures=tuple(_measures(found, what)),
-    )  # fmt: skip
+    )
 
 
 def _measures(found: Mapping[str, Any], what: str) -> list[tuple[str, float, float | None]]:

@@ -89,7 +89,7 @@ class RotatingWriter:
 
     def frame(
         self, label: Mapping[str, Any], image: Image, time_ns: int, hurried: bool = False, preview: bool = True
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """A frame with its label; False when it was lost. `hurried`: as it is, others wait. `preview`: with a small
         picture beside it, where it is a mosaic.
         """

@@ -303,10 +303,17 @@ def _frame(
         raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
     x, height, right, down = (_length(row.get(name), name) for name in (STAGE, HEIGHT, *ASIDE))
     return ScanFrame(
-        whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera, x_mm=x, height_mm=height,
+        whole(index, "index"),
+        Label(light),
+        z,
+        file,
+        _roll(row.get(ROLL)),
+        camera,
+        x_mm=x,
+        height_mm=height,
         aside_mm=None if right is None or down is None else (right, down),
         slot=whole((row.get(SLOT) or "").strip(), SLOT) if (row.get(SLOT) or "").strip() else None,
-    )  # fmt: skip
+    )
 
 
 def _slot(value: object) -> int | None:

@@ -160,11 +160,16 @@ def _intrinsics(camera: Mapping[str, Any], frame_id: str, utc_ns: int, smaller: 
     wanted = 4 if model == "fisheye" else 5 if len(distortion) <= 5 else 8
     named = {4: "kannala_brandt", 5: "plumb_bob", 8: "rational_polynomial"}[wanted]
     return CameraCalibration(
-        timestamp=stamp(utc_ns), frame_id=frame_id, width=int(camera["width"]) // smaller,
-        height=int(camera["height"]) // smaller, distortion_model=named,
-        D=(distortion + wanted * [0.0])[:wanted], K=[fx, 0, cx, 0, fy, cy, 0, 0, 1], R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
+        timestamp=stamp(utc_ns),
+        frame_id=frame_id,
+        width=int(camera["width"]) // smaller,
+        height=int(camera["height"]) // smaller,
+        distortion_model=named,
+        D=(distortion + wanted * [0.0])[:wanted],
+        K=[fx, 0, cx, 0, fy, cy, 0, 0, 1],
+        R=[1, 0, 0, 0, 1, 0, 0, 0, 1],
         P=[fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0],
-    )  # fmt: skip
+    )
 
 
 def _mounted(camera: Mapping[str, Any], whose: int, number: int, utc_ns: int) -> FrameTransforms:
@@ -188,10 +193,12 @@ def _mounted(camera: Mapping[str, Any], whose: int, number: int, utc_ns: int) ->
 def _quaternion(turn: FloatArray) -> FloatArray:
     """(4,) x, y, z, w of a rotation (3, 3): the eigenvector of Bar-Itzhack's matrix, whatever the angle."""
     (a, b, c), (d, e, f), (g, h, i) = turn
-    matrix = np.array([
-        [a - e - i, d + b, g + c, h - f],
-        [d + b, e - a - i, h + f, c - g],
-        [g + c, h + f, i - a - e, d - b],
-        [h - f, c - g, d - b, a + e + i],
-    ])  # fmt: skip
+    matrix = np.array(
+        [
+            [a - e - i, d + b, g + c, h - f],
+            [d + b, e - a - i, h + f, c - g],
+            [g + c, h + f, i - a - e, d - b],
+            [h - f, c - g, d - b, a + e + i],
+        ]
+    )
     return np.asarray(np.linalg.eigh(matrix)[1][:, -1])

@@ -299,6 +299,11 @@ def _head(tags: Any) -> _Head:
         raise AnnulusError("ImageOrientationPatient: expected two unit vectors at right angles")
     spacing = floats("PixelSpacing", 2)
     return _Head(
-        str(tags.get("SeriesInstanceUID", "")), (int(tags.Rows), int(tags.Columns)), (spacing[0], spacing[1]), across,
-        floats("ImagePositionPatient", 3), *floats("RescaleSlope", 1, (1.0,)), *floats("RescaleIntercept", 1, (0.0,)),
-    )  # fmt: skip
+        str(tags.get("SeriesInstanceUID", "")),
+        (int(tags.Rows), int(tags.Columns)),
+        (spacing[0], spacing[1]),
+        across,
+        floats("ImagePositionPatient", 3),
+        *floats("RescaleSlope", 1, (1.0,)),
+        *floats("RescaleIntercept", 1, (0.0,)),
+    )

@@ -122,9 +122,7 @@ _NONE = Channel("", "", 0)
 class Walk:
     """`walk = Walk(file, size)`: channels, messages in the file's order, attachments, what is damaged."""
 
-    def __init__(
-        self, file: IO[bytes], size: int, wanted: tuple[str, ...], kept: str = "", far: bool = False
-    ) -> None:  # fmt: skip
+    def __init__(self, file: IO[bytes], size: int, wanted: tuple[str, ...], kept: str = "", far: bool = False) -> None:
         """`wanted`: attachments that are read. `kept`: a topic whose messages are small and will be asked for. `far`:
         all JSON will be, and going back for it costs more than keeping it."""
         self._file, self._size, self._wanted, self._kept, self._far = file, size, wanted, kept, far

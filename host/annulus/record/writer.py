@@ -88,9 +88,14 @@ class RecordingWriter:
             raise AnnulusError(f"{path}: cannot be written ({why}). Is the disk full?")
 
     def frame(
-        self, label: Mapping[str, Any], image: Image, time_ns: int, as_jpeg: bytes | None = None, *,
+        self,
+        label: Mapping[str, Any],
+        image: Image,
+        time_ns: int,
+        as_jpeg: bytes | None = None,
+        *,
         preview: bool = True,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """A frame with its label; False when it was lost.
 
         `label` must hold index, label, z_mm, encoding, width, height, and camera unless it is 0; it is written to

@@ -11,6 +11,14 @@ from annulus.report.results import FILES, prepare_folder, write
 from annulus.report.whole import keep_windows, write_whole, write_window
 
 __all__ = [
-    "FILES", "Account", "Paper", "check_pdf", "keep_windows", "prepare_folder", "write",
-    "write_plate", "write_whole", "write_window",
-]  # fmt: skip
+    "FILES",
+    "Account",
+    "Paper",
+    "check_pdf",
+    "keep_windows",
+    "prepare_folder",
+    "write",
+    "write_plate",
+    "write_whole",
+    "write_window",
+]

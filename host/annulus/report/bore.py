@@ -22,9 +22,13 @@ SECTORS = ("#1c2733", "#2a7f62", "#8a5fb0")
 
 
 def write_bores(
-    path: Path, bores: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]], z_mm: FloatArray,
-    c_ff: FloatArray, seen: BoolArray,
-) -> list[Path]:  # fmt: skip
+    path: Path,
+    bores: Sequence[Mapping[str, Any]],
+    others: Sequence[Mapping[str, Any]],
+    z_mm: FloatArray,
+    c_ff: FloatArray,
+    seen: BoolArray,
+) -> list[Path]:
     """Bores as JSON, a list, and a picture beside it with .png for a suffix; their paths.
 
     bores, others : odometer_mm, kind, extent_mm, and phi_deg where it is told. c_ff : (G, 3) by sector along z_mm (G,),
@@ -54,7 +58,7 @@ def draw_lane(lane: Lane) -> bytes:
 
 def _lanes(
     marks: Sequence[Mapping[str, Any]], z: FloatArray, c: FloatArray, seen: BoolArray, label: str = "odometer, m"
-) -> Figure:  # fmt: skip
+) -> Figure:
     row_m = max(ROW_M, float(np.ptp(z)) / ROWS_MAX)
     count = max(1, math.ceil(float(np.ptp(z)) / row_m - 0.05))
     figure = Figure(figsize=(WIDTH_IN, 1.0 + 1.25 * count), layout="constrained")
@@ -85,9 +89,14 @@ def _mark(axes: Axes, one: Mapping[str, Any]) -> None:
     likely = one.get("probability", math.nan)
     sure = f" {100 * likely:.0f} %" if bore and math.isfinite(likely) else ""
     axes.annotate(
-        f"{one['kind']}{where}{sure}", (z, 0.03 if bore else 0.9), xycoords=("data", "axes fraction"), ha="center",
-        fontsize=7, weight="bold" if bore else "normal", color=INK if bore else FAINT,
-    )  # fmt: skip
+        f"{one['kind']}{where}{sure}",
+        (z, 0.03 if bore else 0.9),
+        xycoords=("data", "axes fraction"),
+        ha="center",
+        fontsize=7,
+        weight="bold" if bore else "normal",
+        color=INK if bore else FAINT,
+    )
 
 
 def clock(phi_deg: float) -> str:

@@ -60,9 +60,13 @@ def _fields(told: Mapping[str, Any], maps: Mapping[str, Map]) -> Figure:
         across = name.startswith("across")
         near = np.abs(points).max(axis=1) < 1.3 * AROUND_MM
         drawn = one.tripcolor(
-            Triangulation(*points[near].T), np.clip(strength[near], *STRENGTH_V_M), norm=LogNorm(*STRENGTH_V_M),
-            cmap="inferno", shading="gouraud", rasterized=True,
-        )  # fmt: skip
+            Triangulation(*points[near].T),
+            np.clip(strength[near], *STRENGTH_V_M),
+            norm=LogNorm(*STRENGTH_V_M),
+            cmap="inferno",
+            shading="gouraud",
+            rasterized=True,
+        )
         (_across if across else _along)(one, told)
         if name == "bore":
             for side in (-1, 1):
@@ -144,9 +148,14 @@ def _bores(told: Mapping[str, Any]) -> Figure:
             one.bar_label(bars, labels=[_short(value) for value in values], fontsize=7.5, padding=2)
         theirs = [(n, value) for n, value in enumerate(row["prototype_ff"]) if value is not None]
         one.plot(
-            [n - 0.25 for n, _ in theirs], [v for _, v in theirs], "_", color=LOSS_RED, ms=16, mew=2,
+            [n - 0.25 for n, _ in theirs],
+            [v for _, v in theirs],
+            "_",
+            color=LOSS_RED,
+            ms=16,
+            mew=2,
             label="prototype, air",
-        )  # fmt: skip
+        )
         one.axhline(0, color=FAINT, lw=0.8)
         one.set(ylim=(-300, 80), xticks=at, xticklabels=[f"{deg:g}°" for deg in told["looks_deg"]])
         one.set_xlabel("sector looks at")
@@ -167,10 +176,17 @@ def _place(axes: Axes, told: Mapping[str, Any], row: Mapping[str, Any]) -> None:
     normal = np.array([np.cos(phi), np.sin(phi)])
     corner = normal * (row["offset_mm"] - row["radius_mm"]) - 300 * np.array([np.sin(phi), -np.cos(phi)])
     axes.set_facecolor("#cdb89a")
-    axes.add_patch(Rectangle(
-        (float(corner[0]), float(corner[1])), 600, 2 * row["radius_mm"], angle=row["phi_deg"] - 90, fc="#f2f6fa",
-        ec=FAINT, lw=0.8,
-    ))  # fmt: skip
+    axes.add_patch(
+        Rectangle(
+            (float(corner[0]), float(corner[1])),
+            600,
+            2 * row["radius_mm"],
+            angle=row["phi_deg"] - 90,
+            fc="#f2f6fa",
+            ec=FAINT,
+            lw=0.8,
+        )
+    )
     pipe, head = told["pipe"], told["head"]
     axes.add_patch(Circle((0, 0), pipe["outer_radius_mm"], fc="#f3d34a", ec=INK, lw=0.8))
     axes.add_patch(Circle((0, 0), pipe["inner_radius_mm"], fc="white", ec=INK, lw=0.8))

@@ -27,7 +27,7 @@ from annulus.numeric.rounding import (
     off,
     said,
     span,
-)  # fmt: skip
+)
 from annulus.report.account import Account
 from annulus.report.close_up import across, along, part_of_map, photograph
 from annulus.report.paper import letter, marked, question
@@ -121,12 +121,15 @@ def _observed(index: int, one: Observation) -> dict[str, str]:
         "frame": f"{name}: LED frame {one.frame}{camera}, taken there, looking forward; brightness stretched.",
     }
     return {
-        "number": name, "at": digits(one.z_mm, DISTANCE) if math.isfinite(one.z_mm) else "not known",
-        "clock": "" if one.clock_deg is None else clock_face(one.clock_deg), "text": one.text,
-        "when": _second(one.utc), "caption": captions.get(one.shows, ""),
+        "number": name,
+        "at": digits(one.z_mm, DISTANCE) if math.isfinite(one.z_mm) else "not known",
+        "clock": "" if one.clock_deg is None else clock_face(one.clock_deg),
+        "text": one.text,
+        "when": _second(one.utc),
+        "caption": captions.get(one.shows, ""),
         "picture": f"data:image/jpeg;base64,{base64.b64encode(one.picture).decode()}" if one.picture else "",
         "remark": "its photo cannot be read" if one.photo_unread else "",
-    }  # fmt: skip
+    }
 
 
 def _second(utc: str) -> str:
@@ -139,20 +142,27 @@ def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
         overall += f" ({said(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
     still_open = [one for one in verdict.not_established if not one.usual and not one.is_hole]
     return {
-        "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
-        "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
-        "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
+        "title": verdict.criteria.title,
+        "overall": overall,
+        "look": look,
+        "rule": RULE,
+        "accepted": verdict.criteria.accepted,
+        "rows": [_judged(one) for one in _governing(verdict)],
+        "remarks": list(verdict.remarks),
+        "limits": list(_limits(verdict)),
         "places": [*map(_place, still_open[:PLACES_MAX]), *_folded(verdict.not_established)],
         "places_left_out": max(len(still_open) - PLACES_MAX, 0),
-    }  # fmt: skip
+    }
 
 
 def _place(one: Unjudged) -> dict[str, str]:
     return {
         "at": span(one.z_from_mm, one.z_to_mm, DISTANCE, unit=False),
-        "clock": "all round" if one.arc_deg >= 360.0 else " to ".join(one.clock_range), "limits": ", ".join(one.kinds),
-        "why": one.reason, "open": "no" if one.usual else "yes",
-    }  # fmt: skip
+        "clock": "all round" if one.arc_deg >= 360.0 else " to ".join(one.clock_range),
+        "limits": ", ".join(one.kinds),
+        "why": one.reason,
+        "open": "no" if one.usual else "yes",
+    }
 
 
 def _holes(survey: Survey) -> Iterator[dict[str, str]]:
@@ -215,11 +225,16 @@ def _judged(one: Judged) -> dict[str, str]:
     if least != most:
         severity += f" ({least or 'none'} to {most})"
     return {
-        "number": _name(one), "kind": one.kind, "what": one.of.words, "at": _cell(one.z_mm, DISTANCE),
+        "number": _name(one),
+        "kind": one.kind,
+        "what": one.of.words,
+        "at": _cell(one.z_mm, DISTANCE),
         "measured": said(one.value, unit, one.k2, at_least=one.at_least),
         "limit": "none" if math.isnan(one.limit) else f"{'above' if one.of.lower else 'below'} {said(one.limit, unit)}",
-        "severity": severity, "decision": str(one.decision), "group": one.group,
-    }  # fmt: skip
+        "severity": severity,
+        "decision": str(one.decision),
+        "group": one.group,
+    }
 
 
 def _limits(verdict: Verdict) -> Iterator[dict[str, str]]:
@@ -228,10 +243,12 @@ def _limits(verdict: Verdict) -> Iterator[dict[str, str]]:
             quantity = QUANTITIES[kind][one.quantity]
             side = "or less" if quantity.lower else "or more"
             yield {
-                "kind": kind, "what": quantity.words, "severity": str(one.severity),
+                "kind": kind,
+                "what": quantity.words,
+                "severity": str(one.severity),
                 "from": f"{said(one.start, UNITS[quantity.unit])} {side}",
                 "accepted": "accepted" if one.severity <= verdict.criteria.accepted else "not accepted",
-            }  # fmt: skip
+            }
 
 
 def _details(survey: Survey, account: Account) -> dict[str, Any]:
@@ -263,7 +280,10 @@ def _details(survey: Survey, account: Account) -> dict[str, Any]:
         finer = defect.kind is not Kind.OVALITY and apart > max(defect.depth_k2_mm, 0.0)
         shown.append(
             {
-                "number": str(one.index + 1), "kind": str(defect.kind), "across": drawn, "along": along(one, defect),
+                "number": str(one.index + 1),
+                "kind": str(defect.kind),
+                "across": drawn,
+                "along": along(one, defect),
                 "across_caption": f"Across, at {said(one.z_mm, DISTANCE)}, looking forward. Rings: "
                 f"{said(ring, MEASURE)} outwards and inwards of the mean circle, Ø "
                 f"{said(2 * one.mean_radius_mm, MEASURE)}.",
@@ -271,11 +291,12 @@ def _details(survey: Survey, account: Account) -> dict[str, Any]:
                 f"{span(*defect.z_range_mm, DISTANCE)}; dashed: the depth of the list.",
                 "depth": said(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen),
                 "judged": None if judged is None else _judged(judged),
-                "picture": picture, "caption": caption,
+                "picture": picture,
+                "caption": caption,
                 "alt": f"Defect {one.index + 1}, {'photograph' if one.index in taken else 'part of the map of colour'}",
                 "finer": finer,
             }
-        )  # fmt: skip
+        )
     return {"shown": shown, "left_out": len(survey.defects) - len(shown)}
 
 
@@ -286,25 +307,33 @@ def _stations(survey: Survey) -> Iterator[dict[str, str]]:
     step = max(1, math.ceil(n / STATIONS_MAX))
     worst: dict[int, list[str]] = {}
     for words, column, pick in (
-        ("smallest diameter", s.diameter_min_mm, np.argmin), ("largest diameter", s.diameter_max_mm, np.argmax),
-        ("most out of round", s.shape_ovality_percent, np.argmax), ("least area", s.area_mm2, np.argmin),
-    ):  # fmt: skip
+        ("smallest diameter", s.diameter_min_mm, np.argmin),
+        ("largest diameter", s.diameter_max_mm, np.argmax),
+        ("most out of round", s.shape_ovality_percent, np.argmax),
+        ("least area", s.area_mm2, np.argmin),
+    ):
         known = np.flatnonzero(np.isfinite(column))
         if len(known):
             worst.setdefault(int(known[int(pick(column[known]))]), []).append(words)
     for i in sorted({*range(0, n, step), *worst}):
         yield {
-            "at": digits(s.z_mm[i], DISTANCE), "worst": ", ".join(worst.get(i, ())),
-            "x": _cell(s.diameter_x_mm[i], MEASURE), "y": _cell(s.diameter_y_mm[i], MEASURE),
-            "min": _cell(s.diameter_min_mm[i], MEASURE), "mean": _cell(s.diameter_mean_mm[i], MEASURE),
+            "at": digits(s.z_mm[i], DISTANCE),
+            "worst": ", ".join(worst.get(i, ())),
+            "x": _cell(s.diameter_x_mm[i], MEASURE),
+            "y": _cell(s.diameter_y_mm[i], MEASURE),
+            "min": _cell(s.diameter_min_mm[i], MEASURE),
+            "mean": _cell(s.diameter_mean_mm[i], MEASURE),
             "max": _cell(s.diameter_max_mm[i], MEASURE),
             "k2": digits_k2(any_k2[i], MEASURE) if math.isfinite(any_k2[i]) else "",
             "ovality": _cell(s.shape_ovality_percent[i], PERCENT),
-            "around": _cell(s.circumference_mm[i], MEASURE), "around_k2": digits_k2(s.circumference_k2_mm[i], MEASURE)
-            if math.isfinite(s.circumference_k2_mm[i]) else "", "area": _cell(s.area_mm2[i], AREA),
+            "around": _cell(s.circumference_mm[i], MEASURE),
+            "around_k2": digits_k2(s.circumference_k2_mm[i], MEASURE)
+            if math.isfinite(s.circumference_k2_mm[i])
+            else "",
+            "area": _cell(s.area_mm2[i], AREA),
             "area_k2": digits_k2(s.area_k2_mm2[i], AREA) if math.isfinite(s.area_k2_mm2[i]) else "",
             "seen": digits(100 * s.valid_fraction[i], SHARE),
-        }  # fmt: skip
+        }
 
 
 def _cell(value: float, quantity: Quantity) -> str:
@@ -324,10 +353,12 @@ def _accuracy(survey: Survey, account: Account) -> dict[str, Any]:
         for one in tolerances(survey)
     ]
     return {
-        "rows": rows, "reference": anchor(survey.scale, survey.diameter_mean_mm),
-        "least_depth": said(survey.depth_limit_mm, MEASURE), "least_size": said(survey.size_limit_mm, EXTENT),
+        "rows": rows,
+        "reference": anchor(survey.scale, survey.diameter_mean_mm),
+        "least_depth": said(survey.depth_limit_mm, MEASURE),
+        "least_size": said(survey.size_limit_mm, EXTENT),
         "open": list(_not_covered(survey, account)),
-    }  # fmt: skip
+    }
 
 
 def _within(k2: float, unit: str) -> str:

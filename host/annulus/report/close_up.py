@@ -173,8 +173,9 @@ def part_of_map(survey: Survey, index: int) -> str | None:
     picture = cv2.resize(np.ascontiguousarray(grey), size, interpolation=cv2.INTER_LINEAR)
     outline, _ = cv2.findContours(
         (cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5).astype(np.uint8),
-        cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE,
-    )  # fmt: skip
+        cv2.RETR_EXTERNAL,
+        cv2.CHAIN_APPROX_NONE,
+    )
     for line in outline:
         _draw(picture, line[:, 0].astype(np.float64), closed=True)
     return _jpeg(picture)

@@ -32,8 +32,10 @@ def centreline(survey: Survey) -> dict[str, Any]:
         "straight": line.is_straight,
         "pieces": [
             {
-                "start_mm": round(piece.start_mm, 3), "radius_mm": round(piece.radius_mm, 4),
-                "taper_mm_per_mm": round(piece.taper, 6), "offset_mm": [round(v, 4) for v in piece.offset_mm],
+                "start_mm": round(piece.start_mm, 3),
+                "radius_mm": round(piece.radius_mm, 4),
+                "taper_mm_per_mm": round(piece.taper, 6),
+                "offset_mm": [round(v, 4) for v in piece.offset_mm],
                 "turn_deg": [round(math.degrees(v), 4) for v in piece.turn],
                 "curvature_per_m": [round(1e3 * v, 6) for v in piece.curvature],
             }
@@ -47,7 +49,7 @@ def centreline(survey: Survey) -> dict[str, Any]:
         ],
         "line_mm": [[round(float(v), 3) for v in (s, *p)] for s, p in zip(chainage, points, strict=True)],
         "camera_path": [[frame, *(round(float(v), 3) for v in place)] for frame, place in _camera_path(survey)],
-    }  # fmt: skip
+    }
 
 
 def _camera_path(survey: Survey) -> list[tuple[int, np.ndarray[Any, Any]]]:

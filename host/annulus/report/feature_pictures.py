@@ -87,9 +87,14 @@ def _profile(axes: Any, survey: Survey, rows: BoolArray, z_range: tuple[float, f
 
 
 def _crop(
-    figure: Figure, axes: Any, survey: Survey, rows: BoolArray, z_range: tuple[float, float], clock_deg: float,
+    figure: Figure,
+    axes: Any,
+    survey: Survey,
+    rows: BoolArray,
+    z_range: tuple[float, float],
+    clock_deg: float,
     arc_deg: float,
-) -> None:  # fmt: skip
+) -> None:
     """The map of the deviation about it, 12 o'clock no edge, in colours of its own."""
     wall = survey.wall
     step = wall.clock_step_deg
@@ -104,9 +109,14 @@ def _crop(
     top, bottom = offset[0] - step / 2, offset[-1] + step / 2
     axes.set_facecolor(UNSEEN)
     image = axes.imshow(
-        np.ma.masked_invalid(deviation.T), cmap=DEVIATION, vmin=-scale, vmax=scale, aspect="auto",
-        extent=(z[0] - half, z[-1] + half, bottom, top), interpolation="nearest",
-    )  # fmt: skip
+        np.ma.masked_invalid(deviation.T),
+        cmap=DEVIATION,
+        vmin=-scale,
+        vmax=scale,
+        aspect="auto",
+        extent=(z[0] - half, z[-1] + half, bottom, top),
+        interpolation="nearest",
+    )
     first, last = (end / 1000 for end in z_range)
     axes.add_patch(Rectangle((first, -arc_deg / 2), last - first, arc_deg, fill=False, ec=FEATURE, lw=1.2))
     ticks = np.linspace(-arc_deg / 2, arc_deg / 2, 3)

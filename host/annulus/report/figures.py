@@ -85,16 +85,22 @@ def draw(survey: Survey, observations: Sequence[Observation] = ()) -> Pictures:
             for k, (first, last) in enumerate(lengths, start=1)
         )
         return Pictures(
-            _unwrapped(survey, whole, deviation, scale, marks, not long), _texture(survey, whole, marks, not long),
-            _stations(survey, whole, marks), draw_halves(survey, rows, rgb, marks, scale), rgb, scale,
-            draw_features(survey), draw_course(survey),
+            _unwrapped(survey, whole, deviation, scale, marks, not long),
+            _texture(survey, whole, marks, not long),
+            _stations(survey, whole, marks),
+            draw_halves(survey, rows, rgb, marks, scale),
+            rgb,
+            scale,
+            draw_features(survey),
+            draw_course(survey),
             _cameras(survey, whole) if len(survey.cameras) > 1 else None,
-            None if survey.lane is None else draw_lane(survey.lane), sheets,
+            None if survey.lane is None else draw_lane(survey.lane),
+            sheets,
             lengths[0][1] - lengths[0][0] if lengths else 0.0,
             _scales(survey, lengths[0][1] - lengths[0][0], SHEET_PANELS[0][1]) if lengths else "",
             _scales(survey, whole.length_mm, _height(survey, whole)),
             ends_of(survey.wall, rows) if rows.stop - rows.start < len(survey.wall.z_mm) else None,
-        )  # fmt: skip
+        )
 
 
 def sheets_of(first_mm: float, last_mm: float) -> list[tuple[float, float]]:
@@ -166,9 +172,7 @@ def _stations(survey: Survey, whole: Stretch, marks: tuple[Mark, ...]) -> bytes:
     return png(figure)
 
 
-def _sheet(
-    survey: Survey, stretch: Stretch, deviation: Float32Array, scale: float, marks: tuple[Mark, ...]
-) -> bytes:  # fmt: skip
+def _sheet(survey: Survey, stretch: Stretch, deviation: Float32Array, scale: float, marks: tuple[Mark, ...]) -> bytes:
     """Shape, colour, diameters, ovality and what was seen over one stretch."""
     figure, axes = stack(SHEET_PANELS)
     lay(axes, stretch)

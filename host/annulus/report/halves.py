@@ -66,9 +66,10 @@ def _best_cut(local: Sequence[Defect]) -> float:
     def room(middle: float) -> float:
         gaps = [
             abs((defect.clock_deg - cut + 180) % 360 - 180) - defect.arc_deg / 2
-            for defect in local if defect.arc_deg < 180
+            for defect in local
+            if defect.arc_deg < 180
             for cut in (middle - 90, middle + 90)
-        ]  # fmt: skip
+        ]
         return min(min(gaps, default=20.0), 20.0)
 
     return max(hours, key=room)

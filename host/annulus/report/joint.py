@@ -70,9 +70,13 @@ def write_correlation(
 
 
 def write_scan(
-    folder: Path, said: Mapping[str, Any], told: Mapping[str, Any], features: Mapping[str, Any],
-    maps: Mapping[str, FloatArray], laid: Mapping[str, FloatArray],
-) -> list[Path]:  # fmt: skip
+    folder: Path,
+    said: Mapping[str, Any],
+    told: Mapping[str, Any],
+    features: Mapping[str, Any],
+    maps: Mapping[str, FloatArray],
+    laid: Mapping[str, FloatArray],
+) -> list[Path]:
     """A raster laid on a joint: `microwave` in features.json, scan.npz and scan.png; their paths.
 
     said : what features.json says. told : what becomes its `microwave`. laid : (Z, P) maps by name, on the grid of
@@ -151,10 +155,11 @@ def write_strip(
                 if math.isfinite(told["W_mm"]):
                     axes.axvline(told["joint_mm"] + way * told["W_mm"], color=LOSS_RED, lw=1.2)
             said = ", ".join(
-                f"{name} not told" if not math.isfinite(told[f"{name}_mm"])
+                f"{name} not told"
+                if not math.isfinite(told[f"{name}_mm"])
                 else f"{name} {told[f'{name}_mm']:.2f} ± {2 * told[f'{name}_sigma_mm']:.2f} mm"
                 for name in ("W", "T")
-            )  # fmt: skip
+            )
             axes.set_title(f"{said} (k=2)")
             axes.set(xlabel="along the strip, mm", ylabel="through it, mm")
             (folder / "strip.png").write_bytes(png(figure))
@@ -191,8 +196,9 @@ def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> 
     return figure
 
 
-def _scan(told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[str, FloatArray],
-          laid: Mapping[str, FloatArray]) -> Figure:  # fmt: skip
+def _scan(
+    told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[str, FloatArray], laid: Mapping[str, FloatArray]
+) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.6 * len(laid)), layout="constrained")
     middle = float(np.mean(features["zj"]))
     height = maps["z_mm"] - middle
@@ -219,8 +225,9 @@ def _scan(told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[st
     panels[-1].set_xlabel("angle, degrees from the volume's x to its y")
     figure.suptitle(
         f"shift {told['shift_deg']:.1f} deg, sigma {told['shift_sigma_deg']:.1f}, sense {told['sense']}"
-        + ("" if told["accepted"] else ": NOT ACCEPTED as of this joint"), fontsize=11,
-    )  # fmt: skip
+        + ("" if told["accepted"] else ": NOT ACCEPTED as of this joint"),
+        fontsize=11,
+    )
     return figure
 
 
@@ -270,15 +277,27 @@ def _near(features: Mapping[str, Any], maps: Mapping[str, FloatArray]) -> tuple[
     return np.abs(maps["z_mm"] - middle) <= BESIDE_MM, middle
 
 
-def _map(axes: Axes, features: Mapping[str, Any], maps: Mapping[str, FloatArray], values: FloatArray, low: float,
-         high: float, colours: str) -> Any:  # fmt: skip
+def _map(
+    axes: Axes,
+    features: Mapping[str, Any],
+    maps: Mapping[str, FloatArray],
+    values: FloatArray,
+    low: float,
+    high: float,
+    colours: str,
+) -> Any:
     near, middle = _near(features, maps)
     z = maps["z_mm"][near] - middle
     axes.set_facecolor(UNSEEN)
     drawn = axes.imshow(
-        values[near], extent=(0, 360, z[-1], z[0]), aspect="auto", cmap=colours, vmin=low, vmax=high,
+        values[near],
+        extent=(0, 360, z[-1], z[0]),
+        aspect="auto",
+        cmap=colours,
+        vmin=low,
+        vmax=high,
         interpolation="nearest",
-    )  # fmt: skip
+    )
     axes.plot(features["phi_deg"], features["zj"] - middle, color=INK, lw=0.6, ls=":")
     axes.set(xlim=(0, 360), ylabel="along the axis, mm", xticks=range(0, 361, 45))
     return drawn

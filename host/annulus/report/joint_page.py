@@ -42,11 +42,21 @@ def write_joint_page(folder: Path) -> Path:
     try:
         flaws = [{**one, "kind": SEEN[one["kind"]]} for one in features["found"]]
         page = sheet(
-            "joint.html.j2", pictures, source=name, running=f"Butt-fusion joint: {name}", s=features["summary"],
-            created=minute(datetime.now(UTC).isoformat()), version=versions()["annulus"], versions=versions(),
-            flaws=flaws, scan=scan, relations=relations, light=light, n=correlated.get("n"),
+            "joint.html.j2",
+            pictures,
+            source=name,
+            running=f"Butt-fusion joint: {name}",
+            s=features["summary"],
+            created=minute(datetime.now(UTC).isoformat()),
+            version=versions()["annulus"],
+            versions=versions(),
+            flaws=flaws,
+            scan=scan,
+            relations=relations,
+            light=light,
+            n=correlated.get("n"),
             said=_said(features["summary"], flaws, scan, relations),
-        )  # fmt: skip
+        )
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
         raise AnnulusError(f"{source}: {error}: expected what `annulus joint image` writes") from None
     out = folder / "report.html"

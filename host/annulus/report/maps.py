@@ -99,15 +99,32 @@ def title(axes: Any, text: str, handles: Sequence[Patch], height_mm: float, *, r
         axes.text(1.0, lift, right, transform=axes.transAxes, fontsize=9, ha="right", va="bottom", color=FAINT)
     if handles:
         axes.legend(
-            handles=handles, loc="lower left", bbox_to_anchor=(0.0, up), ncols=len(handles), frameon=False,
-            fontsize=8.5, borderaxespad=0.0, borderpad=0.0, handlelength=1.6, columnspacing=1.4,
-        )  # fmt: skip
+            handles=handles,
+            loc="lower left",
+            bbox_to_anchor=(0.0, up),
+            ncols=len(handles),
+            frameon=False,
+            fontsize=8.5,
+            borderaxespad=0.0,
+            borderpad=0.0,
+            handlelength=1.6,
+            columnspacing=1.4,
+        )
 
 
 def draw_shape(
-    figure: Figure, axes: Any, survey: Survey, stretch: Stretch, deviation: Float32Array, scale: float,
-    marks: Sequence[Mark], height_mm: float, *, names: bool = True, right: str = "",
-) -> None:  # fmt: skip
+    figure: Figure,
+    axes: Any,
+    survey: Survey,
+    stretch: Stretch,
+    deviation: Float32Array,
+    scale: float,
+    marks: Sequence[Mark],
+    height_mm: float,
+    *,
+    names: bool = True,
+    right: str = "",
+) -> None:
     """The deviation of the radius from the mean circle, (Z, A) mm of the whole pipe; its colours end at +-scale."""
     lay_map(axes, stretch)
     hidden = False
@@ -115,9 +132,15 @@ def draw_shape(
     if stretch.rows.start < stretch.rows.stop:
         extent = stretch.extent_of(survey)
         shown = axes.imshow(
-            np.ma.masked_invalid(farthest(deviation[stretch.rows], ROWS_MAX).T), cmap=DEVIATION, vmin=-scale,
-            vmax=scale, extent=extent, aspect="auto", interpolation="nearest", zorder=2,
-        )  # fmt: skip
+            np.ma.masked_invalid(farthest(deviation[stretch.rows], ROWS_MAX).T),
+            cmap=DEVIATION,
+            vmin=-scale,
+            vmax=scale,
+            extent=extent,
+            aspect="auto",
+            interpolation="nearest",
+            zorder=2,
+        )
         hidden = _draw_hidden(axes, survey, stretch)
         bar_beside(figure, axes, shown, "deviation, mm\n− inwards    outwards +")
     if hidden:
@@ -131,9 +154,15 @@ def draw_shape(
 
 
 def draw_colour(
-    axes: Any, survey: Survey, stretch: Stretch, marks: Sequence[Mark], height_mm: float, *, names: bool = True,
+    axes: Any,
+    survey: Survey,
+    stretch: Stretch,
+    marks: Sequence[Mark],
+    height_mm: float,
+    *,
+    names: bool = True,
     right: str = "",
-) -> None:  # fmt: skip
+) -> None:
     """The wall in its own light."""
     lay_map(axes, stretch)
     axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
@@ -142,8 +171,11 @@ def draw_colour(
     elif stretch.rows.start < stretch.rows.stop:
         axes.imshow(
             calm(mean_colour(survey.texture[stretch.rows]), _cell_mm(survey, stretch)).swapaxes(0, 1),
-            extent=stretch.extent_of(survey), aspect="auto", interpolation="antialiased", zorder=2,
-        )  # fmt: skip
+            extent=stretch.extent_of(survey),
+            aspect="auto",
+            interpolation="antialiased",
+            zorder=2,
+        )
     axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
     draw_marks(axes, marks, height_mm, names=names)
     if not names:
@@ -163,9 +195,15 @@ def draw_cameras(figure: Figure, both: Sequence[Any], survey: Survey, stretch: S
     shades = [*OWN[: len(survey.cameras)], SHARED]
     extent, more = stretch.extent_of(survey), len(names) + 0.5
     both[0].imshow(
-        np.ma.masked_equal(who.T, 0), cmap=ListedColormap(shades[: len(names)]), vmin=0.5, vmax=more, extent=extent,
-        aspect="auto", interpolation="nearest", zorder=2,
-    )  # fmt: skip
+        np.ma.masked_equal(who.T, 0),
+        cmap=ListedColormap(shades[: len(names)]),
+        vmin=0.5,
+        vmax=more,
+        extent=extent,
+        aspect="auto",
+        interpolation="nearest",
+        zorder=2,
+    )
     _draw_hidden(both[0], survey, stretch)
     share = survey.seen_by_fraction()
     patches = [
@@ -183,9 +221,15 @@ def draw_cameras(figure: Figure, both: Sequence[Any], survey: Survey, stretch: S
     known = wall.sigma_mm[np.isfinite(wall.sigma_mm)]
     top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
     shown = both[1].imshow(
-        np.ma.masked_invalid(wall.sigma_mm[::every].T), cmap="viridis_r", vmin=0, vmax=top, extent=extent,
-        aspect="auto", interpolation="nearest", zorder=2,
-    )  # fmt: skip
+        np.ma.masked_invalid(wall.sigma_mm[::every].T),
+        cmap="viridis_r",
+        vmin=0,
+        vmax=top,
+        extent=extent,
+        aspect="auto",
+        interpolation="nearest",
+        zorder=2,
+    )
     title(both[1], "How well a point's radius is known, one standard deviation", [], height_mm)
     bar_beside(figure, both[1], shown, "mm")
 
@@ -239,9 +283,15 @@ def _lay_curves(axes: Any, survey: Survey, height_mm: float) -> None:
         axes.axvspan(first / 1000, last / 1000, color=colour, alpha=0.09, lw=0)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1 + 3.8 / height_mm), ncols=4, frameon=False, fontsize=8.5,
-            borderaxespad=0.0, borderpad=0.0, columnspacing=1.4,
-        )  # fmt: skip
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1 + 3.8 / height_mm),
+            ncols=4,
+            frameon=False,
+            fontsize=8.5,
+            borderaxespad=0.0,
+            borderpad=0.0,
+            columnspacing=1.4,
+        )
 
 
 def _bands(survey: Survey) -> Iterator[tuple[float, float, str]]:
@@ -262,9 +312,13 @@ def _draw_hidden(axes: Any, survey: Survey, stretch: Stretch) -> bool:
     """What a step hides, as one dark grey; whether there is any."""
     hidden = survey.shadowed[stretch.rows][:: max(-(-(stretch.rows.stop - stretch.rows.start) // ROWS_MAX), 1)]
     axes.imshow(
-        np.ma.masked_equal(hidden.T, False), cmap=ListedColormap([HIDDEN]), extent=stretch.extent_of(survey),
-        aspect="auto", interpolation="nearest", zorder=3,
-    )  # fmt: skip
+        np.ma.masked_equal(hidden.T, False),
+        cmap=ListedColormap([HIDDEN]),
+        extent=stretch.extent_of(survey),
+        aspect="auto",
+        interpolation="nearest",
+        zorder=3,
+    )
     return bool(hidden.any())
 
 

@@ -57,11 +57,15 @@ def marks_of(survey: Survey, observations: Sequence[Observation] = ()) -> tuple[
     """Everything that has a name in the page's tables."""
     out = [
         Mark(
-            str(i), one.z_range_mm, one.clock_deg, one.arc_deg, one.kind is Kind.OVALITY,
+            str(i),
+            one.z_range_mm,
+            one.clock_deg,
+            one.arc_deg,
+            one.kind is Kind.OVALITY,
             lines=() if one.kind is Kind.OVALITY else outline(survey.wall, survey.detection.label, i, one),
         )
         for i, one in enumerate(survey.defects, start=1)
-    ]  # fmt: skip
+    ]
     out += [Mark(letter(i), one.z_range_mm, one.clock_deg, one.arc_deg) for i, one in enumerate(survey.features)]
     for i, place in enumerate(survey.detection.undecided):
         out.append(Mark(question(i), place.z_range_mm, place.clock_deg, place.arc_deg))
@@ -153,10 +157,11 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
             spots = iter(
                 [
                     *((middle, y) for y in (over - 3.6, under + 3.6) if 2 < y < height_mm - 2),
-                    (at[1] + 4, beside), (at[0] - 4, beside),
+                    (at[1] + 4, beside),
+                    (at[0] - 4, beside),
                     *((middle + dx, over - 3.6 - dy) for dy in (0, 5) for dx in (6, -6, 12, -12)),
                 ]
-            )  # fmt: skip
+            )
         if names:
             put(mark, spots)
 
@@ -180,9 +185,15 @@ def name_above(axes: Any, marks: Sequence[Mark]) -> None:
                 apart = False
     for group in groups:
         axes.text(
-            _place(group)[0] / AXES_MM, 1.0, _joined(group), transform=axes.transAxes, ha="center", va="bottom",
-            fontsize=9, fontweight="bold",
-        )  # fmt: skip
+            _place(group)[0] / AXES_MM,
+            1.0,
+            _joined(group),
+            transform=axes.transAxes,
+            ha="center",
+            va="bottom",
+            fontsize=9,
+            fontweight="bold",
+        )
 
 
 def _place(group: Sequence[tuple[float, str]]) -> tuple[float, float]:
@@ -197,6 +208,9 @@ def _joined(group: Sequence[tuple[float, str]]) -> str:
 
 def _bracket(axes: Any, first: float, last: float, y: float, colour: str) -> None:
     axes.annotate(
-        "", (first, y), (last, y), annotation_clip=False,
+        "",
+        (first, y),
+        (last, y),
+        annotation_clip=False,
         arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.2, "color": colour},
-    )  # fmt: skip
+    )

@@ -18,7 +18,7 @@ from annulus.numeric.rounding import (
     digits,
     said,
     span,
-)  # fmt: skip
+)
 from annulus.report.figures import Pictures
 from annulus.report.half_view import EXAGGERATION
 from annulus.report.paper import letter, question
@@ -34,22 +34,34 @@ NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: 
 ALL_ROUND = {Kind.LOSS: "Groove all round", Kind.BUMP: "Ridge all round"}
 UNDECIDED = {Kind.LOSS: "Stands outwards", Kind.BUMP: "Stands inwards", Kind.OVALITY: "May be out of round"}
 COUNTED: Mapping[Kind | FeatureKind, tuple[str, str]] = {  # one of them, and many
-    Kind.LOSS: ("wall loss", "wall losses"), Kind.BUMP: ("bump", "bumps"),
+    Kind.LOSS: ("wall loss", "wall losses"),
+    Kind.BUMP: ("bump", "bumps"),
     Kind.OVALITY: ("out-of-round stretch", "out-of-round stretches"),
-    FeatureKind.JOINT: ("joint", "joints"), FeatureKind.GAP: ("gap", "gaps"),
-    FeatureKind.BRANCH: ("opening", "openings"), FeatureKind.TEE: ("tee", "tees"),
+    FeatureKind.JOINT: ("joint", "joints"),
+    FeatureKind.GAP: ("gap", "gaps"),
+    FeatureKind.BRANCH: ("opening", "openings"),
+    FeatureKind.TEE: ("tee", "tees"),
     FeatureKind.WATER: ("stretch under water", "stretches under water"),
-    FeatureKind.DEPOSIT: ("deposit", "deposits"), FeatureKind.REDUCER: ("reducer", "reducers"),
-    FeatureKind.TAPER: ("taper", "tapers"), FeatureKind.BEND: ("bend", "bends"),
+    FeatureKind.DEPOSIT: ("deposit", "deposits"),
+    FeatureKind.REDUCER: ("reducer", "reducers"),
+    FeatureKind.TAPER: ("taper", "tapers"),
+    FeatureKind.BEND: ("bend", "bends"),
     FeatureKind.CROSS_BORE: ("cross bore", "cross bores"),
     FeatureKind.NAMELESS: ("place without a name", "places without a name"),
-}  # fmt: skip
+}
 FEATURES = {
-    FeatureKind.JOINT: "Joint", FeatureKind.GAP: "Gap in a coupling", FeatureKind.BRANCH: "Opening, branch",
-    FeatureKind.TEE: "Opening, rim stands in", FeatureKind.WATER: "Water", FeatureKind.DEPOSIT: "Deposit",
-    FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
-    FeatureKind.CROSS_BORE: "Cross bore", FeatureKind.NAMELESS: "Not established",
-}  # fmt: skip
+    FeatureKind.JOINT: "Joint",
+    FeatureKind.GAP: "Gap in a coupling",
+    FeatureKind.BRANCH: "Opening, branch",
+    FeatureKind.TEE: "Opening, rim stands in",
+    FeatureKind.WATER: "Water",
+    FeatureKind.DEPOSIT: "Deposit",
+    FeatureKind.REDUCER: "Reducer",
+    FeatureKind.TAPER: "Taper",
+    FeatureKind.BEND: "Bend",
+    FeatureKind.CROSS_BORE: "Cross bore",
+    FeatureKind.NAMELESS: "Not established",
+}
 UNITS = {"mm": MEASURE, "deg": ANGLE, "percent": PERCENT, "ff": Quantity("fF", 2)}
 WORDS = {
     "hilo": "hi-lo",
@@ -60,18 +72,29 @@ WORDS = {
 
 
 PICTURES_TAKEN = {
-    "projector": "pictures under the rings, for the shape", "led": "pictures under plain light, for the colour",
+    "projector": "pictures under the rings, for the shape",
+    "led": "pictures under plain light, for the colour",
     "unknown": "pictures whose lamp is unknown, not used",
-}  # fmt: skip
+}
 LOST = {  # in the client's words, by the account's kinds; several kinds that read the same are counted together
     "profiles_without_pose": "pictures whose place in the pipe is unknown, not used",
     "frames_damaged": "damaged pictures, not used",
     "recording_incomplete": "places where the recording lacks what was written",
     "recording_torn": "recordings that end in the middle of a picture",
 } | dict.fromkeys(
-    ("camera", "camera_away", "no_slot", "recorder_busy", "recorder_absent", "disk", "recorder_failed", "recorder_died",
-     "recording_gone"), "pictures lost before they were kept",
-)  # fmt: skip
+    (
+        "camera",
+        "camera_away",
+        "no_slot",
+        "recorder_busy",
+        "recorder_absent",
+        "disk",
+        "recorder_failed",
+        "recorder_died",
+        "recording_gone",
+    ),
+    "pictures lost before they were kept",
+)
 OTHERWISE = "other incidents of the instrument, see summary.json"
 SAID_ABOVE = ("frames_unknown", "reconstructed_after_the_scan")
 
@@ -91,20 +114,30 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, 
         for data in (getattr(pictures, name),)
     }
     values = {
-        "s": summary, "source": summary["source"], "created": minute(summary["created"]),
-        "version": summary["versions"]["annulus"], "running": f"Pipe wall inspection: {summary['source']}",
+        "s": summary,
+        "source": summary["source"],
+        "created": minute(summary["created"]),
+        "version": summary["versions"]["annulus"],
+        "running": f"Pipe wall inspection: {summary['source']}",
         "rows": [_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
-        "features": features, "undecided": undecided, "told": "" if survey.lane is None else survey.lane.told,
+        "features": features,
+        "undecided": undecided,
+        "told": "" if survey.lane is None else survey.lane.told,
         "pictures": [(captions[name], inline(data)) for name, data in pictures.features],
-        "verdict": _verdict(survey), "look": _look(survey), "unsure": said(100 * UNSURE, Quantity("%", 0)),
+        "verdict": _verdict(survey),
+        "look": _look(survey),
+        "unsure": said(100 * UNSURE, Quantity("%", 0)),
         "surface": [(caption, inline(data)) for caption, data in pictures.surface],
         "stretch": "" if pictures.stretch_mm is None else span(*pictures.stretch_mm, DISTANCE),
         "exaggeration": f"{EXAGGERATION:g}",
         "sheets": [(caption, inline(data)) for caption, data in pictures.sheets],
-        "sheet_length": said(pictures.sheet_mm, Quantity("m", 0, thousands=True)), "sheet_scale": pictures.sheet_scale,
-        "overview_scale": pictures.scale, "frames": _taken(summary["frames"]), "lost": list(_lost(summary["drops"])),
+        "sheet_length": said(pictures.sheet_mm, Quantity("m", 0, thousands=True)),
+        "sheet_scale": pictures.sheet_scale,
+        "overview_scale": pictures.scale,
+        "frames": _taken(summary["frames"]),
+        "lost": list(_lost(summary["drops"])),
         "truth": list(_truth(summary.get("truth", {}))),
-    }  # fmt: skip
+    }
     return sheet(TEMPLATE, {}, **(values | inlined | more))
 
 

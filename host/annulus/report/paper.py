@@ -18,9 +18,16 @@ INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
 LOSS_RED, BUMP_BLUE, FEATURE, OBSERVED = "#b3261e", "#1d5fa8", "#4b2e83", "#0b6170"
 DEVIATION = LinearSegmentedColormap.from_list("deviation", palette.DEVIATION)
 STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.8,
+    "hatch.linewidth": 0.5,
+}
 # A picture of the pipe along its length is as wide as A4 and Letter take beside their margins, and every one has the
 # same axis at the same place, so that what lies one above the other belongs together. Inches follow from that.
 PRINTED_MM, LEFT_MM, AXES_MM = 186.0, 17.0, 150.0
@@ -62,9 +69,18 @@ def marked(number: int) -> str:
 
 def badge(axes: Any, x: float, y: float, name: str, *, colour: str = INK, shape: str = "circle") -> None:
     axes.text(
-        x, y, name, ha="center", va="center", fontsize=9.5, fontweight="bold", color="white", zorder=6, clip_on=False,
+        x,
+        y,
+        name,
+        ha="center",
+        va="center",
+        fontsize=9.5,
+        fontweight="bold",
+        color="white",
+        zorder=6,
+        clip_on=False,
         bbox={"boxstyle": f"{shape},pad=0.28", "fc": colour, "ec": "white", "lw": 1.2},
-    )  # fmt: skip
+    )
 
 
 def stack(panels: Sequence[tuple[float, float]], *, below_mm: float = 12.0) -> tuple[Figure, list[Any]]:

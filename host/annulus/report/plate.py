@@ -35,9 +35,15 @@ def write_plate(plate: Plate, account: Account, out: Path, *, paper: Paper | Non
     started = time.perf_counter()
     with staged(out) as staging:
         np.savez(
-            staging / DEPTH, x_mm=plate.x_mm, y_mm=plate.y_mm, height_mm=plate.height_mm,
-            sigma_mm=plate.sigma_mm, light=plate.light, modulation=plate.modulation, distance_mm=plate.distance_mm,
-        )  # fmt: skip
+            staging / DEPTH,
+            x_mm=plate.x_mm,
+            y_mm=plate.y_mm,
+            height_mm=plate.height_mm,
+            sigma_mm=plate.sigma_mm,
+            light=plate.light,
+            modulation=plate.modulation,
+            distance_mm=plate.distance_mm,
+        )
         _write_cloud(staging / "cloud.ply", plate)
         pictures = {"height.png": _heights(plate), "sigma.png": _sigma(plate)}
         for name, data in pictures.items():
@@ -63,8 +69,10 @@ def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
         "frames": dict(account.frames),
         "points": plate.points,
         "wall": {
-            "kind": "plate", "distance_mm": plate.distance_mm,
-            "x_mm": [float(plate.x_mm[k]) for k in (0, -1)], "y_mm": [float(plate.y_mm[k]) for k in (0, -1)],
+            "kind": "plate",
+            "distance_mm": plate.distance_mm,
+            "x_mm": [float(plate.x_mm[k]) for k in (0, -1)],
+            "y_mm": [float(plate.y_mm[k]) for k in (0, -1)],
             "cell_mm": float(plate.x_mm[1] - plate.x_mm[0]) if len(plate.x_mm) > 1 else None,
         },
         "height_mm": {
@@ -76,14 +84,16 @@ def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
         "completeness": round(plate.completeness, 5),
         "untold": dict(plate.untold),
         "places": {
-            "flashes": len(plate.places_mm), "length_mm": float(np.ptp(plate.places_mm)),
-            "off_odometer_mm": float(np.max(np.abs(off))), "sigma_mm": float(np.max(plate.places_sigma_mm)),
+            "flashes": len(plate.places_mm),
+            "length_mm": float(np.ptp(plate.places_mm)),
+            "off_odometer_mm": float(np.max(np.abs(off))),
+            "sigma_mm": float(np.max(plate.places_sigma_mm)),
         },
         "drops": dict(account.drops),
         "timing_ms": {name: round(value, 3) for name, value in timing.items()},
         "versions": versions(),
         "warnings": [{"kind": str(w.kind), "text": w.text, "frames": list(w.frames)} for w in plate.findings],
-    }  # fmt: skip
+    }
     plain: dict[str, Any] = finite(out)
     return plain
 
@@ -94,9 +104,15 @@ def _write_cloud(path: Path, plate: Plate) -> None:
     records = np.empty(
         len(points),
         dtype=[
-            ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("sigma", "<f4"),
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("red", "u1"),
+            ("green", "u1"),
+            ("blue", "u1"),
+            ("sigma", "<f4"),
         ],
-    )  # fmt: skip
+    )
     for axis, name in enumerate("xyz"):
         records[name] = points[:, axis]
     grey = np.clip(plate.light[told], 0, 255).astype(np.uint8)
@@ -141,6 +157,11 @@ def _map(plate: Plate, values: FloatArray, colours: Any, ends: tuple[float, floa
 
 def _page(summary: dict[str, Any], pictures: dict[str, bytes]) -> str:
     return sheet(
-        TEMPLATE, pictures, s=summary, source=summary["source"], created=minute(summary["created"]),
-        version=summary["versions"]["annulus"], running=f"Plate inspection: {summary['source']}",
-    )  # fmt: skip
+        TEMPLATE,
+        pictures,
+        s=summary,
+        source=summary["source"],
+        created=minute(summary["created"]),
+        version=summary["versions"]["annulus"],
+        running=f"Plate inspection: {summary['source']}",
+    )

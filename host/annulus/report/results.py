@@ -29,9 +29,16 @@ from annulus.wall.survey import Survey
 CLOUD_NOTE = "annulus point cloud, mm: x right, y down, z along the first straight pipe; sigma = of the radius, k = 1"
 MESH_NOTE = "annulus wall, mm, in the frame of the cloud; quality = deviation of the radius, mm"
 FILES = (
-    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "wall.npz", "centreline.json",
-    "report.html", "summary.json",
-)  # fmt: skip
+    "cloud.ply",
+    "mesh.ply",
+    "unwrapped.png",
+    "texture.png",
+    "stations.csv",
+    "wall.npz",
+    "centreline.json",
+    "report.html",
+    "summary.json",
+)
 WALL_FORMAT = "annulus-wall/1"
 NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
 SUMMARY, WALL = "summary.json", "wall.npz"
@@ -39,9 +46,13 @@ DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the
 
 
 def write(
-    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None,
+    survey: Survey,
+    account: Account,
+    out: Path,
+    *,
+    depth: Mapping[str, NDArray[Any]] | None = None,
     paper: Paper | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Write every result file of a survey into the folder `out`. Returns what summary.json says.
 
     depth : arrays of a finer map of the wall, for depth.npz; none without. paper : of report.pdf; none without.
@@ -125,10 +136,19 @@ def _write_cloud(path: Path, survey: Survey) -> None:
     records = np.empty(
         survey.points,
         dtype=[
-            ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
-            ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"), ("camera", "u1"),
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("red", "u1"),
+            ("green", "u1"),
+            ("blue", "u1"),
+            ("radius", "<f4"),
+            ("frame", "<i4"),
+            ("ring", "u1"),
+            ("sigma", "<f4"),
+            ("camera", "u1"),
         ],
-    )  # fmt: skip
+    )
     at, line = 0, survey.centreline
     for profile in sorted(survey.profiles, key=lambda one: one.frame):
         part = records[at : at + len(profile.points_mm)]
@@ -152,21 +172,21 @@ def _write_mesh(path: Path, survey: Survey, fallback: NDArray[np.uint8]) -> None
     records = np.empty(
         len(mesh.points_mm),
         dtype=[
-            ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+            ("x", "<f4"),
+            ("y", "<f4"),
+            ("z", "<f4"),
+            ("red", "u1"),
+            ("green", "u1"),
+            ("blue", "u1"),
             ("quality", "<f4"),
         ],
-    )  # fmt: skip
+    )
     for axis, name in enumerate("xyz"):
         records[name] = mesh.points_mm[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
         records[name] = colour.reshape(-1, 3)[mesh.cell, channel]
     records["quality"] = survey.wall.deviation_mm().reshape(-1)[mesh.cell]
-    write_ply(
-        path,
-        records,
-        mesh.triangles,
-        note=MESH_NOTE,
-    )
+    write_ply(path, records, mesh.triangles, note=MESH_NOTE)
 
 
 def write_stations(path: Path, stations: Stations) -> None:
@@ -175,19 +195,43 @@ def write_stations(path: Path, stations: Stations) -> None:
         writer = csv.writer(file)
         writer.writerow(
             [
-                "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-                "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm", "diameter_x_mm", "diameter_y_mm",
-                "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2", "diameter_min_k2_mm",
+                "z_mm",
+                "diameter_min_mm",
+                "diameter_max_mm",
+                "diameter_mean_mm",
+                "ovality_f1216_percent",
+                "shape_ovality_f1216_percent",
+                "valid_fraction",
+                "diameter_k2_mm",
+                "diameter_x_mm",
+                "diameter_y_mm",
+                "circumference_mm",
+                "circumference_k2_mm",
+                "area_mm2",
+                "area_k2_mm2",
+                "diameter_min_k2_mm",
                 "diameter_max_k2_mm",
             ]
-        )  # fmt: skip
+        )
         columns = zip(
-            stations.z_mm, stations.diameter_min_mm, stations.diameter_max_mm, stations.diameter_mean_mm,
-            stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, stations.diameter_k2_mm,
-            stations.diameter_x_mm, stations.diameter_y_mm, stations.circumference_mm, stations.circumference_k2_mm,
-            stations.area_mm2, stations.area_k2_mm2, stations.diameter_min_k2_mm, stations.diameter_max_k2_mm,
+            stations.z_mm,
+            stations.diameter_min_mm,
+            stations.diameter_max_mm,
+            stations.diameter_mean_mm,
+            stations.ovality_percent,
+            stations.shape_ovality_percent,
+            stations.valid_fraction,
+            stations.diameter_k2_mm,
+            stations.diameter_x_mm,
+            stations.diameter_y_mm,
+            stations.circumference_mm,
+            stations.circumference_k2_mm,
+            stations.area_mm2,
+            stations.area_k2_mm2,
+            stations.diameter_min_k2_mm,
+            stations.diameter_max_k2_mm,
             strict=True,
-        )  # fmt: skip
+        )
         for row in columns:
             writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])
 
@@ -213,10 +257,14 @@ def _write_wall(path: Path, survey: Survey) -> None:
         "deviation_um": np.where(seen, away, NOT_SEEN_UM).astype(np.int16),
         "sigma_um": sigma.astype(np.uint16),
         "shadowed": survey.shadowed,
-        "z_mm": wall.z_mm, "z_step_mm": wall.z_step_mm, "clock_deg": wall.clock_deg,
+        "z_mm": wall.z_mm,
+        "z_step_mm": wall.z_step_mm,
+        "clock_deg": wall.clock_deg,
         "scale_part": np.nan if survey.scale is None else wall.scale_part,
         "oval_part": np.nan if survey.scale is None else wall.oval_part,
-        "radius_mm": nominal, "radius_of": "nominal", "mean_radius_mm": wall.mean_radius_mm,
+        "radius_mm": nominal,
+        "radius_of": "nominal",
+        "mean_radius_mm": wall.mean_radius_mm,
         "imu_roll_deg": np.full(len(wall.z_mm), np.nan if survey.roll_range_deg is None else 0.0, np.float32),
-    }  # fmt: skip
+    }
     np.savez_compressed(path, **arrays)

@@ -22,9 +22,13 @@ PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ012345678
 
 def sheet(template: str, pictures: Mapping[str, bytes], /, **values: Any) -> str:
     """The template of this package, filled; `picture[name]` are the PNGs, inline."""
-    return _environment().get_template(template).render(
-        picture={name: inline(data) for name, data in pictures.items()}, style=Markup(_read("style.css")), **values
-    )  # fmt: skip
+    return (
+        _environment()
+        .get_template(template)
+        .render(
+            picture={name: inline(data) for name, data in pictures.items()}, style=Markup(_read("style.css")), **values
+        )
+    )
 
 
 def inline(png: bytes) -> str:
@@ -40,9 +44,12 @@ def minute(iso: str) -> str:
 @cache
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
         loader=jinja2.FunctionLoader(_template),
-    )  # fmt: skip
+    )
     environment.globals.update({name: getattr(rounding, name) for name in QUANTITIES})
     environment.filters.update(
         said=_unbroken, digits=rounding.digits, off=rounding.off, clock=rounding.clock_face, css=_quoted

@@ -142,10 +142,12 @@ def _scale(survey: Survey) -> dict[str, Any] | None:
 def _origin(origin: Origin) -> dict[str, Any]:
     begun, ended = origin.utc
     return {
-        "begun_utc": begun or None, "ended_utc": ended or None, "controller": dict(origin.controller),
+        "begun_utc": begun or None,
+        "ended_utc": ended or None,
+        "controller": dict(origin.controller),
         "calibration": {"file": origin.calibration_file or None, **{k: dict(v) for k, v in origin.calibration.items()}},
         "recorded_with": dict(origin.versions),
-    }  # fmt: skip
+    }
 
 
 def _severity(verdict: Verdict | None, group: Group, index: int) -> dict[str, Any]:
@@ -156,47 +158,71 @@ def _severity(verdict: Verdict | None, group: Group, index: int) -> dict[str, An
 
 def _conformity(verdict: Verdict) -> dict[str, Any]:
     return {
-        "title": verdict.criteria.title, "accept_severity": verdict.criteria.accepted, "rule": RULE,
-        "decision": str(verdict.decision), "remarks": list(verdict.remarks),
+        "title": verdict.criteria.title,
+        "accept_severity": verdict.criteria.accepted,
+        "rule": RULE,
+        "decision": str(verdict.decision),
+        "remarks": list(verdict.remarks),
         "not_established": [
             {
-                "limits": list(one.kinds), "z_from_mm": stored(one.z_from_mm), "z_to_mm": stored(one.z_to_mm),
-                "clock_deg": stored(one.clock_deg), "arc_deg": stored(one.arc_deg),
-                "clock_from_to": list(one.clock_range), "reason": one.reason, "usual": one.usual,
+                "limits": list(one.kinds),
+                "z_from_mm": stored(one.z_from_mm),
+                "z_to_mm": stored(one.z_to_mm),
+                "clock_deg": stored(one.clock_deg),
+                "arc_deg": stored(one.arc_deg),
+                "clock_from_to": list(one.clock_range),
+                "reason": one.reason,
+                "usual": one.usual,
             }
             for one in verdict.not_established
         ],
         "items": [
             {
-                "of": one.group, "index": one.index, "kind": one.kind, "quantity": one.quantity,
-                "value": stored(one.value), "k2": stored_k2(one.k2), "at_least": one.at_least, "limit": one.limit,
-                "z_mm": stored(one.z_mm), "severity": one.severity, "severities": list(one.severities),
+                "of": one.group,
+                "index": one.index,
+                "kind": one.kind,
+                "quantity": one.quantity,
+                "value": stored(one.value),
+                "k2": stored_k2(one.k2),
+                "at_least": one.at_least,
+                "limit": one.limit,
+                "z_mm": stored(one.z_mm),
+                "severity": one.severity,
+                "severities": list(one.severities),
                 "decision": str(one.decision),
             }
             for one in verdict.items
         ],
-    }  # fmt: skip
+    }
 
 
 def _hole(place: Unjudged) -> dict[str, Any]:
     """usual: every scan has such, a rod's strip or an end."""
     return {
-        "z_from_mm": stored(place.z_from_mm), "z_to_mm": stored(place.z_to_mm), "clock_deg": stored(place.clock_deg),
-        "arc_deg": stored(place.arc_deg), "clock_from_to": list(place.clock_range), "reason": place.reason,
+        "z_from_mm": stored(place.z_from_mm),
+        "z_to_mm": stored(place.z_to_mm),
+        "clock_deg": stored(place.clock_deg),
+        "arc_deg": stored(place.arc_deg),
+        "clock_from_to": list(place.clock_range),
+        "reason": place.reason,
         "usual": place.usual,
-    }  # fmt: skip
+    }
 
 
 def _vibration(found: Vibration) -> dict[str, Any]:
     return {
         "lines": [
-            {"cycles_per_m": one.cycles_per_m, "hertz": one.hertz, "amplitude_mm": one.amplitude_mm,
-             "by_mode_mm": dict(one.mm)}
+            {
+                "cycles_per_m": one.cycles_per_m,
+                "hertz": one.hertz,
+                "amplitude_mm": one.amplitude_mm,
+                "by_mode_mm": dict(one.mm),
+            }
             for one in found.lines
         ],
         "rms_mm": {"before": found.rms_mm[0], "after": found.rms_mm[1]},
         "note": found.why,
-    }  # fmt: skip
+    }
 
 
 def versions() -> dict[str, str]:
@@ -212,23 +238,38 @@ def versions() -> dict[str, str]:
 def _defect(defect: Defect) -> dict[str, Any]:
     first, last = defect.z_range_mm
     return {
-        "kind": str(defect.kind), "z_mm": stored(defect.z_mm), "clock_deg": stored(defect.clock_deg),
-        "clock": defect.clock, "length_mm": stored(defect.length_mm), "arc_deg": stored(defect.arc_deg),
-        "depth_mm": stored(defect.depth_mm), "depth_k2_mm": stored_k2(defect.depth_k2_mm),
-        "area_mm2": stored(defect.area_mm2), "all_round": defect.is_all_round, "floor_seen": defect.floor_seen,
+        "kind": str(defect.kind),
+        "z_mm": stored(defect.z_mm),
+        "clock_deg": stored(defect.clock_deg),
+        "clock": defect.clock,
+        "length_mm": stored(defect.length_mm),
+        "arc_deg": stored(defect.arc_deg),
+        "depth_mm": stored(defect.depth_mm),
+        "depth_k2_mm": stored_k2(defect.depth_k2_mm),
+        "area_mm2": stored(defect.area_mm2),
+        "all_round": defect.is_all_round,
+        "floor_seen": defect.floor_seen,
         "hidden_mm": stored(defect.shadowed_mm),
-        "z_from_mm": stored(first), "z_to_mm": stored(last), "clock_from_to": list(defect.clock_range),
-    }  # fmt: skip
+        "z_from_mm": stored(first),
+        "z_to_mm": stored(last),
+        "clock_from_to": list(defect.clock_range),
+    }
 
 
 def _feature(feature: Feature) -> dict[str, Any]:
     """What was measured stands under its own name, its uncertainty beside it: height_mm, height_k2_mm."""
     first, last = feature.z_range_mm
     out: dict[str, Any] = {
-        "kind": str(feature.kind), "z_mm": stored(feature.z_mm), "clock_deg": stored(feature.clock_deg),
-        "clock": feature.clock, "length_mm": stored(feature.length_mm), "arc_deg": stored(feature.arc_deg),
-        "z_from_mm": stored(first), "z_to_mm": stored(last), "remark": feature.remark,
-    }  # fmt: skip
+        "kind": str(feature.kind),
+        "z_mm": stored(feature.z_mm),
+        "clock_deg": stored(feature.clock_deg),
+        "clock": feature.clock,
+        "length_mm": stored(feature.length_mm),
+        "arc_deg": stored(feature.arc_deg),
+        "z_from_mm": stored(first),
+        "z_to_mm": stored(last),
+        "remark": feature.remark,
+    }
     for one in feature.measures:
         out[one.name] = stored(one.value)
         out[one.k2_name] = stored_k2(one.k2)
@@ -238,11 +279,16 @@ def _feature(feature: Feature) -> dict[str, Any]:
 def _observation(index: int, one: Observation) -> dict[str, Any]:
     """z_mm: of the head at that moment. picture: whose the report shows."""
     return {
-        "mark": marked(index), "z_mm": stored(one.z_mm),
+        "mark": marked(index),
+        "z_mm": stored(one.z_mm),
         "clock_deg": None if one.clock_deg is None else stored(one.clock_deg),
-        "clock": None if one.clock_deg is None else clock_face(one.clock_deg), "text": one.text, "utc": one.utc or None,
-        "picture": one.shows or None, "frame": one.frame, "camera": one.camera,
-    }  # fmt: skip
+        "clock": None if one.clock_deg is None else clock_face(one.clock_deg),
+        "text": one.text,
+        "utc": one.utc or None,
+        "picture": one.shows or None,
+        "frame": one.frame,
+        "camera": one.camera,
+    }
 
 
 def finite(value: Any) -> Any:

@@ -87,19 +87,28 @@ def _told(folder: Path) -> dict[str, Any]:
     own = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     scanned = own["scanned_mm"]
     return {
-        "folder": f"{WINDOWS}/{folder.name}", "from_mm": scanned["from"], "to_mm": scanned["to"],
-        "points": own["points"], "defects": len(own["defects"]), "features": len(own["features"]),
-        "diameter_mean_mm": own["diameter_mm"]["mean"], "seen_percent": own["seen_percent"],
-    }  # fmt: skip
+        "folder": f"{WINDOWS}/{folder.name}",
+        "from_mm": scanned["from"],
+        "to_mm": scanned["to"],
+        "points": own["points"],
+        "defects": len(own["defects"]),
+        "features": len(own["features"]),
+        "diameter_mean_mm": own["diameter_mm"]["mean"],
+        "seen_percent": own["seen_percent"],
+    }
 
 
 def _row(one: Mapping[str, Any]) -> dict[str, Any]:
     mean = one["diameter_mean_mm"]
     return {
-        "folder": one["folder"], "stretch": span(one["from_mm"], one["to_mm"], DISTANCE), "defects": one["defects"],
-        "features": one["features"], "points": one["points"], "seen": f"{one['seen_percent']:.0f} %",
+        "folder": one["folder"],
+        "stretch": span(one["from_mm"], one["to_mm"], DISTANCE),
+        "defects": one["defects"],
+        "features": one["features"],
+        "points": one["points"],
+        "seen": f"{one['seen_percent']:.0f} %",
         "diameter": "" if mean is None else said(mean, MEASURE),
-    }  # fmt: skip
+    }
 
 
 def _write_walls(path: Path, windows: Sequence[Path]) -> None:
@@ -129,9 +138,15 @@ def _write_walls(path: Path, windows: Sequence[Path]) -> None:
 
 
 def _laid(
-    windows: Sequence[Path], shapes: Sequence[tuple[float, float, float]], name: str, kind: "np.dtype[Any]",
-    width: tuple[int, ...], first: float, step: float, empty: Any,
-) -> Iterator[NDArray[Any]]:  # fmt: skip
+    windows: Sequence[Path],
+    shapes: Sequence[tuple[float, float, float]],
+    name: str,
+    kind: "np.dtype[Any]",
+    width: tuple[int, ...],
+    first: float,
+    step: float,
+    empty: Any,
+) -> Iterator[NDArray[Any]]:
     done = 0
     for window, (begin, _, _) in zip(windows, shapes, strict=True):
         at = round((begin - first) / step)

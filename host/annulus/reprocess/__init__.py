@@ -51,4 +51,4 @@ __all__ = [
     "survey_of",
     "surveyed",
     "warm_up",
-]  # fmt: skip
+]

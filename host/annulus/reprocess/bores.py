@@ -133,11 +133,16 @@ def _sector(one: Indication, grid: Grid) -> int:
 def _lane(account: Account, grid: Grid, run: Run) -> Lane:
     marks = tuple(
         LaneMark(
-            str(one.kind), one.odometer_mm, one.extent_mm, one.kind in BORES, _sector(one, grid),
-            one.phi_deg if run.rolled_at(one.odometer_mm) else math.nan, likely(one),
+            str(one.kind),
+            one.odometer_mm,
+            one.extent_mm,
+            one.kind in BORES,
+            _sector(one, grid),
+            one.phi_deg if run.rolled_at(one.odometer_mm) else math.nan,
+            likely(one),
         )
         for one in account.indications
-    )  # fmt: skip
+    )
     blind = account.length_mm - account.water_told_mm
     told = f"The first and last {said(account.ends_mm, DISTANCE)} are not judged."
     if blind > 100.0:

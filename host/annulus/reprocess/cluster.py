@@ -110,9 +110,11 @@ class Dask:
             if not os.access(path, os.R_OK):
                 raise AnnulusError(f"{path}: cannot be read. Expected a file of TLS, PEM.")
         return need("distributed.security").Security(
-            tls_ca_file=str(self.tls.ca), tls_client_cert=str(self.tls.cert), tls_client_key=str(self.tls.key),
+            tls_ca_file=str(self.tls.ca),
+            tls_client_cert=str(self.tls.cert),
+            tls_client_key=str(self.tls.key),
             require_encryption=True,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +166,12 @@ class _Desk:
 
     def _connect(self, distributed: Any) -> None:
         self.client = distributed.Client(
-            self.to.scheduler, security=self.to.security(), set_as_default=False, timeout=f"{ANSWER_S:g}s",
+            self.to.scheduler,
+            security=self.to.security(),
+            set_as_default=False,
+            timeout=f"{ANSWER_S:g}s",
             name="annulus",
-        )  # fmt: skip
+        )
         self.met, self.looked_s = "", 0.0
 
     def _lost(self, error: BaseException, todo: "deque[int]") -> None:

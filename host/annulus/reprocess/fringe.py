@@ -177,9 +177,15 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
             )
         try:
             steps = find_steps(
-                one, job.projector, odometer[which], ahead, images, coarse,
-                odometer_sigma_mm=ODOMETER_SIGMA_MM, drift_sigma=DRIFT,
-            )  # fmt: skip
+                one,
+                job.projector,
+                odometer[which],
+                ahead,
+                images,
+                coarse,
+                odometer_sigma_mm=ODOMETER_SIGMA_MM,
+                drift_sigma=DRIFT,
+            )
         except AnnulusError:  # no place is seen in all frames: the odometer is all there is
             continue
         weight = 1 / np.maximum(steps.sigma_mm, 1e-6) ** 2
@@ -272,9 +278,12 @@ def _bounds(job: FringeJob) -> tuple[float, float]:
 
 
 def _by_cameras(
-    job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, IntArray]], place: FloatArray, grid: Points,
+    job: FringeJob,
+    taken: Sequence[tuple[HeadCamera, Float32Array, IntArray]],
+    place: FloatArray,
+    grid: Points,
     noise: tuple[float, float, float],
-) -> Heights:  # fmt: skip
+) -> Heights:
     pair, moved, images = _pair(job, taken, place)
     return stereo_heights(pair, job.projector, moved, images, grid, _bounds(job), noise=noise, drift_sigma=DRIFT)
 
@@ -364,14 +373,23 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
         places[inside], sigma[inside] = part.place_mm, part.sigma_mm
         slipped[inside] |= part.slipped
     return Plate(
-        (np.arange(shape[1]) + i.min()) * cell, (np.arange(shape[0]) + j.min()) * cell,
-        np.where(good, grid("height_mm"), np.nan), np.where(good, grid("sigma_mm"), np.nan),
-        np.where(good, dc, np.nan), modulation, lit, job.distance_mm, untold,
+        (np.arange(shape[1]) + i.min()) * cell,
+        (np.arange(shape[0]) + j.min()) * cell,
+        np.where(good, grid("height_mm"), np.nan),
+        np.where(good, grid("sigma_mm"), np.nan),
+        np.where(good, dc, np.nan),
+        modulation,
+        lit,
+        job.distance_mm,
+        untold,
         tuple(job.scan.frames[next(iter(seen.values()))].index for _, seen in job.flashes),
-        places, sigma, np.array([x for x, _ in job.flashes]),
+        places,
+        sigma,
+        np.array([x for x, _ in job.flashes]),
         (*job.findings, *_findings(job, frames, slipped, untold, lit, some)),
-        {"scan_to_heights": 1e3 * (time.perf_counter() - started)}, job.by,
-    )  # fmt: skip
+        {"scan_to_heights": 1e3 * (time.perf_counter() - started)},
+        job.by,
+    )
 
 
 def _findings(
@@ -381,8 +399,9 @@ def _findings(
     if slipped.any():
         indices = tuple(
             job.scan.frames[next(iter(seen.values()))].index
-            for (_, seen), one in zip(job.flashes, slipped, strict=True) if one
-        )  # fmt: skip
+            for (_, seen), one in zip(job.flashes, slipped, strict=True)
+            if one
+        )
         named = first_few(indices)
         out.append(
             Finding(

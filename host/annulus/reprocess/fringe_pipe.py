@@ -97,10 +97,17 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
         findings.append(Finding("transfer", text))
     turns = max(1, round(len(flashes) * len(eyes) / max(sum(len(flash) for flash in flashes), 1)))
     return FringePipeJob(
-        opened, tuple(eye for eye, _, _ in eyes), tuple(camera for _, camera, _ in eyes), head.radius_mm,
-        told or Transfer(), tuple(flashes), z, rolled if len(rolled) == len(z) else None,
-        WINDOW * turns, tuple(findings),
-    )  # fmt: skip
+        opened,
+        tuple(eye for eye, _, _ in eyes),
+        tuple(camera for _, camera, _ in eyes),
+        head.radius_mm,
+        told or Transfer(),
+        tuple(flashes),
+        z,
+        rolled if len(rolled) == len(z) else None,
+        WINDOW * turns,
+        tuple(findings),
+    )
 
 
 def _head_of(opened: Scan, scan: Path) -> FringeHead:
@@ -232,10 +239,20 @@ def _joined(parts: Sequence[PipeMap], starts: Sequence[int]) -> PipeMap:
         poses = np.concatenate([poses, part.head.poses[len(poses) - start :]])
     radius = float(np.mean([part.head.radius_mm for part in parts]))
     return PipeMap(
-        every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),
-        grid("modulation"), grid("frames"), grid("seen_by"), replace(first.head, poses=poses, radius_mm=radius),
-        first.noise, np.concatenate([part.slipped for part in parts]),
-    )  # fmt: skip
+        every * step,
+        first.phi_deg,
+        grid("radius_mm"),
+        grid("sigma_mm"),
+        grid("flag"),
+        grid("at_least"),
+        grid("dc"),
+        grid("modulation"),
+        grid("frames"),
+        grid("seen_by"),
+        replace(first.head, poses=poses, radius_mm=radius),
+        first.noise,
+        np.concatenate([part.slipped for part in parts]),
+    )
 
 
 def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
@@ -264,10 +281,22 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
         apart=sound_wall_apart(wall, None),
     )
     return Survey(
-        tuple(profiles), wall, none, detection,
-        measure_stations(wall), _light_map(wall, seen), None, (), line, (), 2 * job.radius_mm, timing,
-        tuple(sorted(set(job.ids))), LIGHT, unjudged=unjudged,
-    )  # fmt: skip
+        tuple(profiles),
+        wall,
+        none,
+        detection,
+        measure_stations(wall),
+        _light_map(wall, seen),
+        None,
+        (),
+        line,
+        (),
+        2 * job.radius_mm,
+        timing,
+        tuple(sorted(set(job.ids))),
+        LIGHT,
+        unjudged=unjudged,
+    )
 
 
 def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
@@ -286,12 +315,19 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
         frame = job.scan.frames[job.flashes[int(np.argmin(np.abs(z + middle - at)))][0][1]].index
         out.append(
             Profile(
-                frame, float(at), Pose(), points.astype(np.float32), np.repeat(grey[:, None], 3, axis=1),
-                np.zeros(len(told), np.uint8), told.astype(np.uint16), float(np.median(seen.sigma_mm[j, told]))
-                if len(told) else math.nan, sigma_mm=seen.sigma_mm[j, told].astype(np.float32), camera=job.ids[0],
+                frame,
+                float(at),
+                Pose(),
+                points.astype(np.float32),
+                np.repeat(grey[:, None], 3, axis=1),
+                np.zeros(len(told), np.uint8),
+                told.astype(np.uint16),
+                float(np.median(seen.sigma_mm[j, told])) if len(told) else math.nan,
+                sigma_mm=seen.sigma_mm[j, told].astype(np.float32),
+                camera=job.ids[0],
                 seen_by=whose[seen.seen_by[j, told]],
             )
-        )  # fmt: skip
+        )
     return out
 
 

@@ -54,9 +54,12 @@ def in_ranges(
         raise failed[0][1].raised()
     left_out = tuple(frame for frames, _ in failed for frame in frames)
     seen = Seen(
-        [light for one in facts for light in one.lights], [pose for one in facts for pose in one.poses],
-        [frame for one in facts for frame in one.apart], sum(one.pairs for one in facts), left_out,
-    )  # fmt: skip
+        [light for one in facts for light in one.lights],
+        [pose for one in facts for pose in one.poses],
+        [frame for one in facts for frame in one.apart],
+        sum(one.pairs for one in facts),
+        left_out,
+    )
     findings, frames, drops = account(job, which, decided, seen)
     if left_out:
         drops["frames_left_out"] = len(left_out)

@@ -103,9 +103,7 @@ def measured(job: Job, method: Method, chunk: Sequence[int]) -> list[Measured]:
 def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
     """Median ms of every stage over the frames, and `total`: of their sum."""
     stages = {name: None for profile in profiles for name in profile.timing_ms}
-    out = {
-        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
-    }  # fmt: skip
+    out = {name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages}
     if "total" not in out:
         sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
         out["total"] = float(np.median(sums)) if sums else 0.0

@@ -24,17 +24,26 @@ FORMAT = 1
 ABOUT, DIGEST = b"annulus.range", b"annulus.sha256"
 ROWS_MAX = 1 << 16  # profiles of a file
 _POINT = {  # of each point: column, numpy type, unit
-    "x_mm": ("<f4", "mm"), "y_mm": ("<f4", "mm"), "z_mm_of_points": ("<f4", "mm"),
-    "red": ("u1", "grey level"), "green": ("u1", "grey level"), "blue": ("u1", "grey level"),
-    "ring": ("u1", "number, innermost 0"), "direction": ("<u2", "number of the polar direction"),
-    "sigma_mm": ("<f4", "mm"), "seen_by": ("u1", "camera id, or the number of cameras"),
-}  # fmt: skip
+    "x_mm": ("<f4", "mm"),
+    "y_mm": ("<f4", "mm"),
+    "z_mm_of_points": ("<f4", "mm"),
+    "red": ("u1", "grey level"),
+    "green": ("u1", "grey level"),
+    "blue": ("u1", "grey level"),
+    "ring": ("u1", "number, innermost 0"),
+    "direction": ("<u2", "number of the polar direction"),
+    "sigma_mm": ("<f4", "mm"),
+    "seen_by": ("u1", "camera id, or the number of cameras"),
+}
 _RING = {"ring_drawn_mm": ("<f4", "mm"), "ring_alone_mm": ("<f4", "mm")}  # of each ring
 _SLIT = {"slit_rad": ("<f4", "rad")}
 _FRAME = {
-    "frame": ("<i8", "index"), "camera": ("u1", "id"), "z_mm": ("<f8", "mm"), "residual_mm": ("<f8", "mm"),
+    "frame": ("<i8", "index"),
+    "camera": ("u1", "id"),
+    "z_mm": ("<f8", "mm"),
+    "residual_mm": ("<f8", "mm"),
     "lean_sigma_deg": ("<f8", "degrees"),
-}  # fmt: skip
+}
 _POSE = {"rx_rad": "rad", "ry_rad": "rad", "tx_mm": "mm", "ty_mm": "mm", "roll_rad": "rad"}  # null where unknown
 _NAMED = {"rejected": ("<i8", "slits"), "timing_ms": ("<f8", "ms")}
 
@@ -52,9 +61,14 @@ def packed(profiles: Sequence[Profile], about: Mapping[str, Any]) -> bytes:
     out = io.BytesIO()
     # No dictionaries: they would take one NaN for another.
     parquet.write_table(
-        table, out, row_group_size=max(1, len(profiles)), use_dictionary=False, compression="zstd",
-        compression_level=1, write_page_checksum=True,
-    )  # fmt: skip
+        table,
+        out,
+        row_group_size=max(1, len(profiles)),
+        use_dictionary=False,
+        compression="zstd",
+        compression_level=1,
+        write_page_checksum=True,
+    )
     return out.getvalue()
 
 
@@ -103,11 +117,20 @@ def _columns(arrow: Any, profiles: Sequence[Profile]) -> list[tuple[str, str, An
 def _parts(profile: Profile) -> dict[str, NDArray[Any]]:
     points, colour, of_rings = profile.points_mm, profile.colour, profile.ring_sigma_mm
     return {
-        "x_mm": points[:, 0], "y_mm": points[:, 1], "z_mm_of_points": points[:, 2], "red": colour[:, 0],
-        "green": colour[:, 1], "blue": colour[:, 2], "ring": profile.ring, "direction": profile.direction,
-        "sigma_mm": profile.sigma_mm, "seen_by": profile.seen_by, "ring_drawn_mm": of_rings[:, 0],
-        "ring_alone_mm": of_rings[:, 1], "slit_rad": profile.slit_rad,
-    }  # fmt: skip
+        "x_mm": points[:, 0],
+        "y_mm": points[:, 1],
+        "z_mm_of_points": points[:, 2],
+        "red": colour[:, 0],
+        "green": colour[:, 1],
+        "blue": colour[:, 2],
+        "ring": profile.ring,
+        "direction": profile.direction,
+        "sigma_mm": profile.sigma_mm,
+        "seen_by": profile.seen_by,
+        "ring_drawn_mm": of_rings[:, 0],
+        "ring_alone_mm": of_rings[:, 1],
+        "slit_rad": profile.slit_rad,
+    }
 
 
 def _profiles(table: Any) -> tuple[Profile, ...]:
@@ -125,15 +148,24 @@ def _profiles(table: Any) -> tuple[Profile, ...]:
         pose = None if one["rx_rad"] is None else Pose(*(one[name] for name in _POSE))
         out.append(
             Profile(
-                one["frame"], one["z_mm"], pose,
+                one["frame"],
+                one["z_mm"],
+                pose,
                 np.stack([of["x_mm"], of["y_mm"], of["z_mm_of_points"]], axis=1),
                 np.stack([of["red"], of["green"], of["blue"]], axis=1),
-                of["ring"].copy(), of["direction"].copy(), one["residual_mm"], dict(one["rejected"]),
-                dict(one["timing_ms"]), of["sigma_mm"].copy(), one["lean_sigma_deg"], one["camera"],
-                np.stack([of["ring_drawn_mm"], of["ring_alone_mm"]], axis=1), of["seen_by"].copy(),
+                of["ring"].copy(),
+                of["direction"].copy(),
+                one["residual_mm"],
+                dict(one["rejected"]),
+                dict(one["timing_ms"]),
+                of["sigma_mm"].copy(),
+                one["lean_sigma_deg"],
+                one["camera"],
+                np.stack([of["ring_drawn_mm"], of["ring_alone_mm"]], axis=1),
+                of["seen_by"].copy(),
                 of["slit_rad"].copy(),
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 

@@ -139,10 +139,20 @@ def _found(path: Where) -> Where:
 def _bare(recording: Recording) -> Recording:
     """Its path, and what a frame of it is read by."""
     return replace(
-        recording, frames=(), calibration=None, configuration=None, _labels={}, _notes={}, damage=(), _chunks=(),
-        _data_crc=None, _sound={}, part=None, parts=(),
+        recording,
+        frames=(),
+        calibration=None,
+        configuration=None,
+        _labels={},
+        _notes={},
+        damage=(),
+        _chunks=(),
+        _data_crc=None,
+        _sound={},
+        part=None,
+        parts=(),
         index=None if recording.index is None else recording.index.bare(),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,9 +202,7 @@ def without_frames(job: Job) -> Job:
     return replace(job, scan=replace(job.scan, frames=(), calibration=None, recording=None))
 
 
-def facts_of(
-    one: Range, name: str, profiles: Sequence[Profile], about: Mapping[str, Any], made: bool
-) -> Facts:  # fmt: skip
+def facts_of(one: Range, name: str, profiles: Sequence[Profile], about: Mapping[str, Any], made: bool) -> Facts:
     """Raises AnnulusError where the profiles are not those of the range."""
     frames, lights = [profile.frame for profile in profiles], about.get("lights")
     told = about.get("processor")
@@ -207,17 +215,24 @@ def facts_of(
     ends = [(float(p.points_mm[:, 2].min()), float(p.points_mm[:, 2].max())) for p in profiles if len(p.points_mm)]
     ends = ends or [(one.part.frames[i].z_mm,) * 2 for i in one.which]
     return Facts(
-        one.number, name, one.indices[0], one.indices[-1],
+        one.number,
+        name,
+        one.indices[0],
+        one.indices[-1],
         tuple((frame, Exposure(*light)) for frame, light in zip(frames, lights or (), strict=True)),
         tuple(frame for frame in one.indices if frame not in set(frames)),
         tuple(p.pose for p in profiles if p.pose is not None),
         tuple(p.frame for p in profiles if p.pose is None),
         tuple(p.frame for p in profiles if TWO_WALLS in p.rejected),
         sum(CAMERA_MISSING not in p.rejected for p in profiles),
-        sum(len(p.points_mm) for p in profiles), dict(rejected),
-        (min(low for low, _ in ends), max(high for _, high in ends)), stage_medians(profiles), made, str(told),
+        sum(len(p.points_mm) for p in profiles),
+        dict(rejected),
+        (min(low for low, _ in ends), max(high for _, high in ends)),
+        stage_medians(profiles),
+        made,
+        str(told),
         tuple(map(Reach.of, profiles)),
-    )  # fmt: skip
+    )
 
 
 def _is_light(value: object) -> bool:

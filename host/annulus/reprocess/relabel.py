@@ -73,10 +73,15 @@ class Audit:
             for one, count in self.changes.most_common()
         ]
         return {
-            "frames": self.frames, "changed": self.changed, "without_evidence": self.without_evidence,
-            "rows_missing": self.missing, "rows_malformed": self.malformed, "frames_damaged": self.damaged,
-            "changes": rows, **missing_note(self.lacks),
-        }  # fmt: skip
+            "frames": self.frames,
+            "changed": self.changed,
+            "without_evidence": self.without_evidence,
+            "rows_missing": self.missing,
+            "rows_malformed": self.malformed,
+            "frames_damaged": self.damaged,
+            "changes": rows,
+            **missing_note(self.lacks),
+        }
 
 
 def audit(path: Path) -> Audit:
@@ -103,20 +108,32 @@ def identity(path: Path) -> dict[str, Any]:
     times = [frame.timestamp_ns for frame in recording.frames]
     marks = read_marks(recording)
     return {
-        "recording": str(path), "parts": len(parts), "bytes": size, "torn": recording.torn,
-        "cut_frames_at_most": recording.cut_frames, "power_cut_frames_at_most": _at_risk(recording),
-        "damage_seen": len(recording.damage), "frames": dict(counted), "codecs": dict(kept),
+        "recording": str(path),
+        "parts": len(parts),
+        "bytes": size,
+        "torn": recording.torn,
+        "cut_frames_at_most": recording.cut_frames,
+        "power_cut_frames_at_most": _at_risk(recording),
+        "damage_seen": len(recording.damage),
+        "frames": dict(counted),
+        "codecs": dict(kept),
         "first_frame": _of_day(recording, min(times, default=None)),
         "last_frame": _of_day(recording, max(times, default=None)),
         "seconds": round((max(times) - min(times)) / 1e9, 3) if times else 0.0,
-        "from": first.get("utc"), "to": last.get("utc"), "job": job_told(recording).to_dict() or None,
-        "controller": last.get("controller"), "cameras": last.get("cameras"), "versions": first.get("versions"),
+        "from": first.get("utc"),
+        "to": last.get("utc"),
+        "job": job_told(recording).to_dict() or None,
+        "controller": last.get("controller"),
+        "cameras": last.get("cameras"),
+        "versions": first.get("versions"),
         "segments": len({frame.segment for frame in recording.frames if frame.label is not Label.UNKNOWN}),
         "frames_of_assumed_place": len(assumed),
         "z_bound_mm": max((frame.z_bound_mm for frame in assumed), default=0.0),
-        "evidence": TOPIC in recording.topics, "marks": len(marks.of) + marks.left_out, "marks_unread": marks.unread,
+        "evidence": TOPIC in recording.topics,
+        "marks": len(marks.of) + marks.left_out,
+        "marks_unread": marks.unread,
         "missing": missing_told(recording),
-    }  # fmt: skip
+    }
 
 
 def _codec(frame: RecordedFrame) -> Codec:

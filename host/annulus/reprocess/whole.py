@@ -114,9 +114,17 @@ class Held:
 
 
 def surveyed(
-    job: Job, place: Place, executor: Executor, files: Files, progress: Progress | None = None, *,
-    vibration: bool = False, fps: float | None = None, keep: bool = False, points_max: int = POINTS_MAX,
-) -> Surveyed:  # fmt: skip
+    job: Job,
+    place: Place,
+    executor: Executor,
+    files: Files,
+    progress: Progress | None = None,
+    *,
+    vibration: bool = False,
+    fps: float | None = None,
+    keep: bool = False,
+    points_max: int = POINTS_MAX,
+) -> Surveyed:
     """Everything a scan says of its pipe.
 
     place : where ranges and windows' results go. files : of windows; not asked of a scan of one.

@@ -158,9 +158,16 @@ class WindowWork:
         part = portion.part
         pictures = part.part([i for i, frame in enumerate(part.frames) if frame.label is Label.LED])  # in no range
         return address(
-            made_with(), job.calibration, job.colour, job.reference, more, self.files.made_from(), portion.window,
-            profiles, identity(pictures),
-        )  # fmt: skip
+            made_with(),
+            job.calibration,
+            job.colour,
+            job.reference,
+            more,
+            self.files.made_from(),
+            portion.window,
+            profiles,
+            identity(pictures),
+        )
 
     def _found(self, number: int, made_from: str | None) -> "Abstract | None":
         kept = None if made_from is None else self.files.kept(number)
@@ -178,10 +185,17 @@ class WindowWork:
 
 
 def survey_windows(
-    job: Job, profiles: Profiles, plan: Plan, files: Files, executor: Executor = in_process,
-    progress: Progress | None = None, *, vibration: bool = False, fps: float | None = None,
+    job: Job,
+    profiles: Profiles,
+    plan: Plan,
+    files: Files,
+    executor: Executor = in_process,
+    progress: Progress | None = None,
+    *,
+    vibration: bool = False,
+    fps: float | None = None,
     scale: AbsoluteScale | None = None,
-) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:  # fmt: skip
+) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:
     """All windows surveyed and written: what they say together, which of them were measured, and ms that it took.
 
     Raises AnnulusError where not one of them could be measured, or a worker could not do one.

@@ -74,14 +74,16 @@ class ColourProfile:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "crosstalk": [list(row) for row in self.crosstalk], "level": list(self.level),
+            "format": FORMAT,
+            "crosstalk": [list(row) for row in self.crosstalk],
+            "level": list(self.level),
             "reflectance": list(self.reflectance),
             "camera_gains": {"red": self.camera_gains[0], "blue": self.camera_gains[1]},
             "gains": {"red": self.gains[0], "blue": self.gains[1]},
             "named": {"before": self.named[0], "after": self.named[1]},
             "separation": {"before": self.separation[0], "after": self.separation[1]},
             "frames": self.frames,
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, data: object) -> "ColourProfile":
@@ -101,9 +103,14 @@ class ColourProfile:
         if isinstance(frames, bool) or not isinstance(frames, int):
             raise ValueError('"frames" must be a whole number')
         return cls(
-            matrix, level, _pair(data, "camera_gains", "red", "blue"), _pair(data, "gains", "red", "blue"),
-            _pair(data, "named", "before", "after"), _pair(data, "separation", "before", "after"), frames,
-        )  # fmt: skip
+            matrix,
+            level,
+            _pair(data, "camera_gains", "red", "blue"),
+            _pair(data, "gains", "red", "blue"),
+            _pair(data, "named", "before", "after"),
+            _pair(data, "separation", "before", "after"),
+            frames,
+        )
 
 
 def stripes(slits: Slits, placed: Placed, calibration: Calibration) -> Stripes:
@@ -118,9 +125,10 @@ def stripes(slits: Slits, placed: Placed, calibration: Calibration) -> Stripes:
     ring = placed.ring[named]
     light = np.vstack([slits.inside[named], slits.outside[named]])[:, ::-1]
     return Stripes(
-        light / np.tile(fall[ring], 2)[:, None], np.concatenate([pattern[ring], pattern[ring + 1]]),
+        light / np.tile(fall[ring], 2)[:, None],
+        np.concatenate([pattern[ring], pattern[ring + 1]]),
         light.max(axis=1) >= FULL,
-    )  # fmt: skip
+    )
 
 
 def learn(seen: Sequence[Stripes], camera_gains: tuple[float, float] = (1.0, 1.0)) -> ColourProfile:
@@ -156,15 +164,25 @@ def learn(seen: Sequence[Stripes], camera_gains: tuple[float, float] = (1.0, 1.0
         for g, own in zip(camera_gains, (red, blue), strict=True)
     ]
     draft = ColourProfile(
-        _matrix(crosstalk), (float(red), float(green), float(blue)), camera_gains, (gains[0], gains[1]), (0.0, 0.0),
-        (0.0, 0.0), len(seen),
-    )  # fmt: skip
+        _matrix(crosstalk),
+        (float(red), float(green), float(blue)),
+        camera_gains,
+        (gains[0], gains[1]),
+        (0.0, 0.0),
+        (0.0, 0.0),
+        len(seen),
+    )
     named = classify(light[:, ::-1], "".join("RGB"[s] for s in used), draft.seen())
     before = float((light.argmax(axis=1) == colour).mean())
     return ColourProfile(
-        draft.crosstalk, draft.level, camera_gains, draft.gains, (before, float((named == colour).mean())),
-        (separation(mixture[:, used]), separation(crosstalk[:, used])), len(seen),
-    )  # fmt: skip
+        draft.crosstalk,
+        draft.level,
+        camera_gains,
+        draft.gains,
+        (before, float((named == colour).mean())),
+        (separation(mixture[:, used]), separation(crosstalk[:, used])),
+        len(seen),
+    )
 
 
 def separation(matrix: FloatArray) -> float:

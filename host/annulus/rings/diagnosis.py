@@ -206,9 +206,7 @@ def _named(frames: Sequence[int]) -> str:
 
 
 def examine(
-    reconstructor: Reconstructor,
-    frames: Sequence[tuple[int, NDArray[np.uint8]]],
-    colour: ColourProfile | None = None,
+    reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.uint8]]], colour: ColourProfile | None = None
 ) -> tuple[Finding, ...]:
     """What (frame, image) of a few projector frames say against the calibration, the pipe's radius and its colours.
 
@@ -285,9 +283,7 @@ def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.u
     """In words, if the images fit the calibration far better flipped."""
     best, least = "", scatter
     for name, (rows, columns) in FLIPS.items():
-        places = [
-            reconstructor.slits_by_order(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames
-        ]  # fmt: skip
+        places = [reconstructor.slits_by_order(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames]
         spreads = [place.fit.robust_sigma_mm for place in places if place is not None]
         if 2 * len(spreads) > len(frames) and float(np.median(spreads)) < least:
             best, least = name, float(np.median(spreads))

@@ -62,9 +62,15 @@ def find_lines(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[Slits, FloatA
     pixels = np.clip(pixels, 0, np.array(image.shape[1::-1]) - 1)
     light = image[pixels[:, 1], pixels[:, 0]].astype(np.float64)
     slits = Slits(
-        direction, position, wide[kept].astype(np.float64), light, light, 1.0 / np.maximum(strength, 1e-6),
-        int(np.count_nonzero(~kept)), crowded,
-    )  # fmt: skip
+        direction,
+        position,
+        wide[kept].astype(np.float64),
+        light,
+        light,
+        1.0 / np.maximum(strength, 1e-6),
+        int(np.count_nonzero(~kept)),
+        crowded,
+    )
     return slits, strength
 
 

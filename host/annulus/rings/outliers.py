@@ -48,9 +48,18 @@ def reject_outliers(
     wider = np.zeros(len(ring))
     turn = 2 * math.pi / directions * np.arange(directions)
     _reject(
-        ring, slits.direction, slits.width, slits.inside, slits.outside, radius_mm, step_mm, np.cos(turn), np.sin(turn),
-        counts, wider,
-    )  # fmt: skip
+        ring,
+        slits.direction,
+        slits.width,
+        slits.inside,
+        slits.outside,
+        radius_mm,
+        step_mm,
+        np.cos(turn),
+        np.sin(turn),
+        counts,
+        wider,
+    )
     found = {"width": int(counts[0]), "shaded": int(counts[1]), "alone": int(counts[2])}
     return found, wider
 

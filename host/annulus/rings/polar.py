@@ -113,9 +113,18 @@ def lay_grid(
     maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
     map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
     return PolarGrid(
-        (float(centre[0]), float(centre[1])), first, step, cosine, sine, stop, rays.astype(np.float32),
-        None if camera.central else origins.astype(np.float32), map_xy, map_part, spacing,
-    )  # fmt: skip
+        (float(centre[0]), float(centre[1])),
+        first,
+        step,
+        cosine,
+        sine,
+        stop,
+        rays.astype(np.float32),
+        None if camera.central else origins.astype(np.float32),
+        map_xy,
+        map_part,
+        spacing,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,9 +127,17 @@ class Reconstructor:
             rejected["no pipe"] = len(ring)
             empty = np.zeros(0, np.uint8)
             return Profile(
-                frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), empty,
-                empty.astype(np.uint16), math.nan, rejected, spans(marks),
-            )  # fmt: skip
+                frame,
+                z_mm,
+                None,
+                np.zeros((0, 3), np.float32),
+                np.zeros((0, 3), np.uint8),
+                empty,
+                empty.astype(np.uint16),
+                math.nan,
+                rejected,
+                spans(marks),
+            )
         # Read again where the wall now is, and fit what that leaves.
         deviation = deviations(points, fitted.pose, pipe)
         ring = named(deviation, WALL_TOLERANCE)
@@ -154,16 +162,34 @@ class Reconstructor:
         _beside(kept, slits.inside, slits.outside, light, clipped)
         marks.append(("points", clock()))
         sigma, of_rings = point_sigma(
-            ring[kept], slits.direction[kept], seen, slits.edge_blur[kept], wider[kept], clipped, self._optics,
-            self._calibrated, fitted, line_bias(slits) if self.calibration.kind == "line" else BIAS_PX,
-        )  # fmt: skip
+            ring[kept],
+            slits.direction[kept],
+            seen,
+            slits.edge_blur[kept],
+            wider[kept],
+            clipped,
+            self._optics,
+            self._calibrated,
+            fitted,
+            line_bias(slits) if self.calibration.kind == "line" else BIAS_PX,
+        )
         marks.append(("sigma", clock()))
         return Profile(
-            frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
-            slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, spans(marks),
-            sigma, fitted.lean_sigma_deg, ring_sigma_mm=of_rings,
+            frame,
+            z_mm,
+            pose,
+            wall.astype(np.float32),
+            light,
+            ring[kept].astype(np.uint8),
+            slits.direction[kept].astype(np.uint16),
+            fitted.robust_sigma_mm,
+            rejected,
+            spans(marks),
+            sigma,
+            fitted.lean_sigma_deg,
+            ring_sigma_mm=of_rings,
             slit_rad=self._slit_rad(slits.width[kept], ring[kept]),
-        )  # fmt: skip
+        )
 
     def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
         polar = unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid)

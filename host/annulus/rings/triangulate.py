@@ -115,9 +115,18 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
         usual = float(np.partition(slits.width, len(slits.width) // 2)[len(slits.width) // 2])
         width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
         _all_rings(
-            slits.direction, slits.position, width, grid.rays, grid.origins, RAY_STEP_PX, optics.cones, optics.bend,
-            optics.corrections, wanted, out,
-        )  # fmt: skip
+            slits.direction,
+            slits.position,
+            width,
+            grid.rays,
+            grid.origins,
+            RAY_STEP_PX,
+            optics.cones,
+            optics.bend,
+            optics.corrections,
+            wanted,
+            out,
+        )
     return out
 
 

@@ -63,9 +63,21 @@ def point_sigma(
     """
     out, drawn = np.empty(len(ring), np.float32), np.empty(len(calibrated_mm))
     _combine(
-        ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, edge_blur,
-        width_off_px, clipped, optics.mm_per_px, calibrated_mm, bias_px, out, drawn,
-    )  # fmt: skip
+        ring,
+        direction,
+        points_mm,
+        fit.pose.rotation,
+        fit.pose.translation,
+        fit.covariance,
+        edge_blur,
+        width_off_px,
+        clipped,
+        optics.mm_per_px,
+        calibrated_mm,
+        bias_px,
+        out,
+        drawn,
+    )
     fixed = np.hypot(bias_px * optics.mm_per_px, calibrated_mm.mean(axis=1))
     return out, np.stack([drawn, fixed], axis=1).astype(np.float32)
 

@@ -5,15 +5,7 @@ before the falling edge that counts, so that edge and flash stand in one look, s
 import itertools
 from typing import TypeVar
 
-from annulus.controller import (
-    LAMP_WIDTH_MAX_TICKS,
-    PIN_LED,
-    PIN_PROJECTOR,
-    PIN_STEP,
-    PIN_SYNC,
-    TICK_HZ,
-    TICKS_PER_US,
-)
+from annulus.controller import LAMP_WIDTH_MAX_TICKS, PIN_LED, PIN_PROJECTOR, PIN_STEP, PIN_SYNC, TICK_HZ, TICKS_PER_US
 from annulus.link.messages import Arm, ArmFlag, Commit, Fault, FaultCode, Stage, StateFlag, StatusCode
 from annulus.link.messages import Edge as EdgeEvent
 from annulus.link.session import EventReceived

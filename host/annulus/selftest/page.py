@@ -12,9 +12,12 @@ from annulus.vocabulary import AnnulusError
 
 TEMPLATE = "page.html.j2"
 SHOWN = {
-    Verdict.KEPT: "kept", Verdict.BROKEN: "BROKEN", Verdict.NOT_WIRED: "not wired", Verdict.NOT_TESTED: "not tested",
+    Verdict.KEPT: "kept",
+    Verdict.BROKEN: "BROKEN",
+    Verdict.NOT_WIRED: "not wired",
+    Verdict.NOT_TESTED: "not tested",
     Verdict.INFORMS: "",
-}  # fmt: skip
+}
 
 
 def verdict_line(test: SelfTest) -> str:

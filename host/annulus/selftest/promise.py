@@ -34,12 +34,32 @@ def not_wired(what: str, promise: str, wire: str) -> Row:
 
 
 BEYOND_A_BOARDS_OWN_REACH = (
-    Row("Processor stands still: microwave and trigger low", "4 ms at most, and through the reset", "-",
-        Verdict.NOT_TESTED, why="a processor that measures cannot stand still; proven on the emulator (-k stuck)"),
-    Row("USB plug pulled while armed: all gates low", "3.1 ms", "-",
-        Verdict.NOT_TESTED, why="the measurement goes over that plug; pull it by hand, First power-up, step 8"),
-    Row("Outputs through power-on and reset", "low", "-",
-        Verdict.NOT_TESTED, why="nothing measures during a reset; oscilloscope, First power-up, steps 1 and 9"),
-    Row("Voltages, edges, drivers, lamps", "see Wiring", "-",
-        Verdict.NOT_TESTED, why="levels are read back at the controller's own pads; oscilloscope, steps 6, 10 and 11"),
-)  # fmt: skip
+    Row(
+        "Processor stands still: microwave and trigger low",
+        "4 ms at most, and through the reset",
+        "-",
+        Verdict.NOT_TESTED,
+        why="a processor that measures cannot stand still; proven on the emulator (-k stuck)",
+    ),
+    Row(
+        "USB plug pulled while armed: all gates low",
+        "3.1 ms",
+        "-",
+        Verdict.NOT_TESTED,
+        why="the measurement goes over that plug; pull it by hand, First power-up, step 8",
+    ),
+    Row(
+        "Outputs through power-on and reset",
+        "low",
+        "-",
+        Verdict.NOT_TESTED,
+        why="nothing measures during a reset; oscilloscope, First power-up, steps 1 and 9",
+    ),
+    Row(
+        "Voltages, edges, drivers, lamps",
+        "see Wiring",
+        "-",
+        Verdict.NOT_TESTED,
+        why="levels are read back at the controller's own pads; oscilloscope, steps 6, 10 and 11",
+    ),
+)

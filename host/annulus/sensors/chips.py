@@ -43,14 +43,33 @@ def _mpu6050(bus: Bus, address: int, name: str, told: Settings) -> Reader:
 
 
 CHIPS: Mapping[str, ChipKind] = {
-    "fdc2214": ChipKind(0x2A, "capacitance", {
-        "adc_address": (0x48, 0x4B), "inductance_uh": (0.1, 1e3), "fixed_pf": (0.0, 1e3), "clock_mhz": (2.0, 40.0),
-        "drive": (0, 31), "drive_ma": (0.01, 2.0), "coil_kohm": (0.1, 1e3),
-    }, _fdc2214),
-    "ina226": ChipKind(0x40, "supply", {
-        "shunt_mohm": (0.1, 1e4), "least_v": (0.0, 36.0), "most_a": (0.001, 100.0), "draws_ma": (0.1, 1e5),
-        "derated_from_c": (-40.0, 125.0), "derated_a_per_k": (0.0, 10.0),
-    }, _ina226),
+    "fdc2214": ChipKind(
+        0x2A,
+        "capacitance",
+        {
+            "adc_address": (0x48, 0x4B),
+            "inductance_uh": (0.1, 1e3),
+            "fixed_pf": (0.0, 1e3),
+            "clock_mhz": (2.0, 40.0),
+            "drive": (0, 31),
+            "drive_ma": (0.01, 2.0),
+            "coil_kohm": (0.1, 1e3),
+        },
+        _fdc2214,
+    ),
+    "ina226": ChipKind(
+        0x40,
+        "supply",
+        {
+            "shunt_mohm": (0.1, 1e4),
+            "least_v": (0.0, 36.0),
+            "most_a": (0.001, 100.0),
+            "draws_ma": (0.1, 1e5),
+            "derated_from_c": (-40.0, 125.0),
+            "derated_a_per_k": (0.0, 10.0),
+        },
+        _ina226,
+    ),
     "mpu6050": ChipKind(0x68, "imu", {}, _mpu6050),
-}  # fmt: skip
+}
 assert {name for name in CHIPS["ina226"].settings} == {field.name for field in fields(RAIL)}

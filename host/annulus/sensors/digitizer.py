@@ -101,9 +101,14 @@ class ScopeDigitizer:
     """
 
     def __init__(
-        self, resource: str, *, channel: int = 1, trigger: str = "EXTernal", settle_s: float = 0.05,
+        self,
+        resource: str,
+        *,
+        channel: int = 1,
+        trigger: str = "EXTernal",
+        settle_s: float = 0.05,
         answer_s: float = ANSWER_S,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """resource : VISA name, TCPIP::host::5025::SOCKET, TCPIP::host::INSTR or TCPIP::host::hislip0::INSTR; only the
         last two can clear a scope that waits for a trigger. settle_s : from `:DIGitize` until it surely waits.
         """
@@ -273,9 +278,15 @@ class ScopeDigitizer:
             raise DigitizerLostError(f"{self.resource}: preamble {text[:120]!r}, expected ten numbers")
         kind, _, points, _, x_step, x_origin, _, y_step, y_origin, y_reference = numbers
         if (
-            kind != 1 or points != int(points) or not 16 <= points <= BLOCK_MAX // 2 or not 1e-10 <= x_step <= 1e-2
-            or abs(x_origin) > 1.0 or not 0 < abs(y_step) < 1.0 or abs(y_origin) > 100 or not 0 <= y_reference <= 65535
-        ):  # fmt: skip
+            kind != 1
+            or points != int(points)
+            or not 16 <= points <= BLOCK_MAX // 2
+            or not 1e-10 <= x_step <= 1e-2
+            or abs(x_origin) > 1.0
+            or not 0 < abs(y_step) < 1.0
+            or abs(y_origin) > 100
+            or not 0 <= y_reference <= 65535
+        ):
             raise DigitizerLostError(f"{self.resource}: preamble {text[:120]!r} makes no sense, expected 16-bit data")
         span = points * x_step
         if not 0.5 * self._acquisition.duration_s <= span <= 4 * self._acquisition.duration_s:

@@ -73,8 +73,9 @@ TANK = Tank()
 class Fdc2214(Chip):
     """`adc` reads the tanks' rectified amplitudes, where there is one."""
 
-    def __init__(self, bus: Bus, address: int = 0x2A, tank: Tank = TANK, adc: "Ads1115 | None" = None,
-                 name: str = "capacitance") -> None:  # fmt: skip
+    def __init__(
+        self, bus: Bus, address: int = 0x2A, tank: Tank = TANK, adc: "Ads1115 | None" = None, name: str = "capacitance"
+    ) -> None:
         super().__init__(bus, address)
         self.name, self._tank, self._adc = name, tank, adc
 

@@ -64,11 +64,7 @@ class Ina226(Chip):
         volts = (self.read(VOLTS) & 0x7FFF) * VOLTS_MV * 1e-3
         dark = bool(self.lit) and 1000 * amperes < self._rail.draws_ma
         limit = self._rail.limit_a(self.head_c)
-        wrong = {
-            "undervoltage": volts < self._rail.least_v,
-            "overcurrent": abs(amperes) > limit,
-            "draws_nothing": dark,
-        }
+        wrong = {"undervoltage": volts < self._rail.least_v, "overcurrent": abs(amperes) > limit, "draws_nothing": dark}
         said = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
         units = {"voltage_v": "V", "current_a": "A", "current_limit_a": "A"}
         return said | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")

@@ -82,9 +82,13 @@ class _Segment:
 def _segment(data: Mapping[str, Any]) -> _Segment:
     nonce = data["nonce"]
     return _Segment(
-        int(data["epoch"]), int(data["first_edge"]), float(data["start_mm"]), int(data["number"]),
-        float(data["bound_mm"]), None if nonce is None else int(nonce),
-    )  # fmt: skip
+        int(data["epoch"]),
+        int(data["first_edge"]),
+        float(data["start_mm"]),
+        int(data["number"]),
+        float(data["bound_mm"]),
+        None if nonce is None else int(nonce),
+    )
 
 
 class Odometer:
@@ -201,11 +205,15 @@ class Odometer:
     def remembered(self) -> dict[str, Any]:
         """All that later places follow from, as plain types; `recalled` is the inverse."""
         return {
-            "mm_per_count": self._mm_per_count, "max_speed_mm_s": self._max_speed,
-            "segments": [asdict(segment) for segment in self._segments], "recent": [list(one) for one in self._recent],
-            "last_edge": self._last_edge, "lost": self._lost, "zero_next": self._zero_next,
+            "mm_per_count": self._mm_per_count,
+            "max_speed_mm_s": self._max_speed,
+            "segments": [asdict(segment) for segment in self._segments],
+            "recent": [list(one) for one in self._recent],
+            "last_edge": self._last_edge,
+            "lost": self._lost,
+            "zero_next": self._zero_next,
             "stood": self._stood,
-        }  # fmt: skip
+        }
 
     @classmethod
     def recalled(cls, data: Mapping[str, Any]) -> "Odometer":

@@ -29,9 +29,7 @@ class Sample:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as msgpack and JSON carry them."""
-        return {
-            "sensor": self.sensor, "host_ns": self.host_ns, "values": dict(self.values), "units": dict(self.units)
-        }  # fmt: skip
+        return {"sensor": self.sensor, "host_ns": self.host_ns, "values": dict(self.values), "units": dict(self.units)}
 
     @classmethod
     def from_dict(cls, data: object) -> "Sample":

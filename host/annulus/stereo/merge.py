@@ -76,9 +76,15 @@ class Merged:
 
 
 def merge(
-    views: Sequence[View], expected: Sequence[Expected], sights: Sequence[Sight], vertices: FloatArray,
-    ways: FloatArray, start_mm: FloatArray, sigma_most_mm: FloatArray, usable: BoolArray | None = None,
-) -> Merged:  # fmt: skip
+    views: Sequence[View],
+    expected: Sequence[Expected],
+    sights: Sequence[Sight],
+    vertices: FloatArray,
+    ways: FloatArray,
+    start_mm: FloatArray,
+    sigma_most_mm: FloatArray,
+    usable: BoolArray | None = None,
+) -> Merged:
     """The wall's distance along each generator.
 
     Parameters
@@ -92,22 +98,53 @@ def merge(
     camera, heaviest, line, state = (np.zeros(shape, np.int64) for _ in range(4))
     course = np.stack([e.course for e in expected])
     _solve(
-        np.stack([view.lens for view in views]), vertices, ways, start_mm,
-        np.stack([e.by_generator for e in expected]), course,
-        np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
+        np.stack([view.lens for view in views]),
+        vertices,
+        ways,
+        start_mm,
+        np.stack([e.by_generator for e in expected]),
+        course,
+        np.stack([s.place for s in sights]) - course,
+        np.stack([s.sigma_px for s in sights]),
         np.stack([s.edge_px for s in sights]),
-        np.array([s.bias_px for s in sights]), sigma_most_mm,
-        np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
-        distance, sigma, camera, heaviest, line, state, apart,
-    )  # fmt: skip
+        np.array([s.bias_px for s in sights]),
+        sigma_most_mm,
+        np.ones((1, 1, 1), np.bool_) if usable is None else usable,
+        usable is not None,
+        distance,
+        sigma,
+        camera,
+        heaviest,
+        line,
+        state,
+        apart,
+    )
     return Merged(distance, sigma, camera, heaviest, line, state, apart)
 
 
 @jit
 def _solve(  # type: ignore[no-untyped-def]
-    lenses, vertices, ways, start, expected, course, stray, sigma_px, edge_px, bias_px, limit, usable,
-    gated, distance, sigma, camera, heaviest, line, state, apart,
-):  # fmt: skip
+    lenses,
+    vertices,
+    ways,
+    start,
+    expected,
+    course,
+    stray,
+    sigma_px,
+    edge_px,
+    bias_px,
+    limit,
+    usable,
+    gated,
+    distance,
+    sigma,
+    camera,
+    heaviest,
+    line,
+    state,
+    apart,
+):
     cameras = len(lenses)
     rings, steps = start.shape
     left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)
@@ -131,9 +168,11 @@ def _solve(  # type: ignore[no-untyped-def]
                         at[c], place = expected[c, 0, k, p], expected[c, 1, k, p]
                     else:
                         at[c], place = on_line(
-                            lenses[c], vertices[k, 0] + s * ways[k, p, 0], vertices[k, 1] + s * ways[k, p, 1],
+                            lenses[c],
+                            vertices[k, 0] + s * ways[k, p, 0],
+                            vertices[k, 1] + s * ways[k, p, 1],
                             vertices[k, 2] + s * ways[k, p, 2],
-                        )  # fmt: skip
+                        )
                     by_line, by_place = expected[c, 2, k, p], expected[c, 3, k, p]
                     value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
                     if value != value:

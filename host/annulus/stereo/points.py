@@ -39,9 +39,13 @@ def outwards(points: FloatArray, at: NDArray[np.int64], ways: FloatArray, pose: 
 
 
 def radius_sigma(
-    points: FloatArray, at: NDArray[np.int64], along_mm: FloatArray, ways: FloatArray, pose: Pose,
+    points: FloatArray,
+    at: NDArray[np.int64],
+    along_mm: FloatArray,
+    ways: FloatArray,
+    pose: Pose,
     covariance: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """(N,) mm of each point's radius: `along_mm` (N,) along its generator, and the pose by its covariance (4, 4)."""
     out = np.empty(len(points))
     at, covariance = np.ascontiguousarray(at), np.ascontiguousarray(covariance)

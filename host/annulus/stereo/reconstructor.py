@@ -71,9 +71,13 @@ class StereoReconstructor:
     """
 
     def __init__(
-        self, calibration: Calibration, directions: int = DIRECTIONS, *, colour: ColourProfile | None = None,
+        self,
+        calibration: Calibration,
+        directions: int = DIRECTIONS,
+        *,
+        colour: ColourProfile | None = None,
         delta_gate: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """delta_gate : for comparison only, the source's Delta (§5.2): a camera is asked only where delta is above this
         part of its greatest, and those that are count alike."""
         if len(calibration.cameras) < CAMERAS_LEAST:
@@ -176,10 +180,20 @@ class StereoReconstructor:
         marks.append(("points", clock()))
         camera_of = np.array([*looks, *([len(self.views)] if len(looks) else [])])
         return Profile(
-            frame, z_mm, pose, wall.astype(np.float32), light, ring.astype(np.uint8), direction.astype(np.uint16),
-            fitted.robust_sigma_mm, rejected, spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
+            frame,
+            z_mm,
+            pose,
+            wall.astype(np.float32),
+            light,
+            ring.astype(np.uint8),
+            direction.astype(np.uint16),
+            fitted.robust_sigma_mm,
+            rejected,
+            spans(marks),
+            sigma.astype(np.float32),
+            fitted.lean_sigma_deg,
             seen_by=camera_of[merged.camera[ring, direction]].astype(np.uint8),
-        )  # fmt: skip
+        )
 
     def _expect(
         self, pose: Pose, ways: FloatArray, start: FloatArray, numbers: Mapping[int, object]
@@ -224,9 +238,15 @@ class StereoReconstructor:
             points = self._vertex[:, None] + start[..., None] * ways
             usable = np.stack([self._gate(view, points) for view in views])
         return merge(
-            views, [expected[n] for n in looks], [look.sight for look in looks.values()], self._vertex, ways, start,
-            self._most, usable,
-        )  # fmt: skip
+            views,
+            [expected[n] for n in looks],
+            [look.sight for look in looks.values()],
+            self._vertex,
+            ways,
+            start,
+            self._most,
+            usable,
+        )
 
     def _gate(self, view: View, points: FloatArray) -> BoolArray:
         """(K, P) where delta (Eq. 5.7) is above `delta_gate` of its greatest."""
@@ -287,9 +307,7 @@ def _sight(
     if not surely:  # for a first pose, which only names
         sigma[:] = USUAL_PX
     else:
-        _spread(
-            which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, edge
-        )  # fmt: skip
+        _spread(which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, edge)
     return Sight(place, sigma, edge, bias_px)
 
 
@@ -345,6 +363,14 @@ def _unit(v: FloatArray) -> FloatArray:
 def _empty(frame: int, z_mm: float, rejected: dict[str, int], marks: list[tuple[str, float]]) -> Profile:
     none = np.zeros(0, np.uint8)
     return Profile(
-        frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), none, none.astype(np.uint16),
-        math.nan, rejected, spans(marks),
-    )  # fmt: skip
+        frame,
+        z_mm,
+        None,
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.uint8),
+        none,
+        none.astype(np.uint16),
+        math.nan,
+        rejected,
+        spans(marks),
+    )

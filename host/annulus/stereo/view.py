@@ -111,8 +111,16 @@ class View:
         radius."""
         slits = seen.slits
         off, deviation = np.empty(seen.could_be.shape), np.empty(seen.could_be.shape)
-        _off(slits.direction, slits.position, seen.could_be, expected.course, expected.by_radius, self.grid.spacing_px,
-             off, deviation)  # fmt: skip
+        _off(
+            slits.direction,
+            slits.position,
+            seen.could_be,
+            expected.course,
+            expected.by_radius,
+            self.grid.spacing_px,
+            off,
+            deviation,
+        )
         ring = decode(slits.direction, seen.inside, seen.outside, deviation, self.colours, tolerance)
         return ring, off
 
@@ -130,8 +138,17 @@ class View:
         shape = self.optics.bend.shape
         place, which = np.full(shape, np.nan), np.full(shape, -1)
         slits = seen.slits
-        _table(ring, slits.direction, slits.position, slits.width, seen.widest, self.optics.bend, self.optics.offset_px,
-               place, which)  # fmt: skip
+        _table(
+            ring,
+            slits.direction,
+            slits.position,
+            slits.width,
+            seen.widest,
+            self.optics.bend,
+            self.optics.offset_px,
+            place,
+            which,
+        )
         return place, which
 
 

@@ -31,9 +31,25 @@ CARRIED_MAX = 512  # bytes of anything a viewer sends; a CURVE handshake takes 4
 STRANGE_MAX = 1 << 16  # bytes of subscriptions to topics that there are not, of all viewers
 STANDING_MAX = 1 << 16  # bytes of those to topics that there may be, and that stand
 TOPICS = (
-    b"frame/", b"label", b"profile", b"sensor/", b"mark", b"job", b"state", b"telemetry", b"event", b"begun", b"ended",
-    b"health", b"preview/", b"rows/", b"slits/", b"wall", b"defects", b"closeup",
-)  # fmt: skip
+    b"frame/",
+    b"label",
+    b"profile",
+    b"sensor/",
+    b"mark",
+    b"job",
+    b"state",
+    b"telemetry",
+    b"event",
+    b"begun",
+    b"ended",
+    b"health",
+    b"preview/",
+    b"rows/",
+    b"slits/",
+    b"wall",
+    b"defects",
+    b"closeup",
+)
 
 
 class Publisher:

@@ -178,9 +178,8 @@ class WorkerPool:
         return [worker for worker in self._workers.values() if not worker.spare]
 
     def offer(
-        self, header: FrameHeader, place: Place, extra: Any = None,
-        beside: Sequence[tuple[FrameHeader, Place]] = (),
-    ) -> bool:  # fmt: skip
+        self, header: FrameHeader, place: Place, extra: Any = None, beside: Sequence[tuple[FrameHeader, Place]] = ()
+    ) -> bool:
         """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room.
 
         beside : frames that go with it, in the same task; their slots are held too. What comes back is the first one's.
@@ -356,9 +355,13 @@ class WorkerPool:
         tasks.setsockopt(zmq.SNDHWM, 1000)
         tasks.setsockopt(zmq.LINGER, 0)
         link: dict[str, Any] = {
-            "worker": number, "parent": os.getpid(), "ring_fd": self._ring.fd, "frame_bytes": self._ring.frame_bytes,
-            "tasks": f"ipc://{address}", "results": f"ipc://{address}-results",
-        }  # fmt: skip
+            "worker": number,
+            "parent": os.getpid(),
+            "ring_fd": self._ring.fd,
+            "frame_bytes": self._ring.frame_bytes,
+            "tasks": f"ipc://{address}",
+            "results": f"ipc://{address}-results",
+        }
         # The worker binds both. A connecting PUSH queues at once, a bound one does not; and libzmq ends a process that
         # has no descriptor left for who connects to it over ipc (4.3.5, ipc_listener.cpp:297).
         tasks.connect(link["tasks"])

@@ -171,9 +171,14 @@ def acquire(
         progress("shots", plan.positions, plan.positions)
     record = sweep.record()
     return Acquired(
-        plan.positions, len(missing), retries, sweep.clipped, tuple(sweep.findings()), record.sampling_rate_hz,
+        plan.positions,
+        len(missing),
+        retries,
+        sweep.clipped,
+        tuple(sweep.findings()),
+        record.sampling_rate_hz,
         time.monotonic() - begun,
-    )  # fmt: skip
+    )
 
 
 def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
@@ -213,9 +218,11 @@ class _Sweep:
             raise AnnulusError(f"{self.out}: is no sweep of `annulus tai acquire`, expected one to go on with")
         for key, want in self.plan.settings().items():
             have = extra.get(f"plan_{key}")
-            same = have == want if isinstance(want, str) or isinstance(have, str) or have is None else (
-                math.isclose(have, want, rel_tol=1e-9)
-            )  # fmt: skip
+            same = (
+                have == want
+                if isinstance(want, str) or isinstance(have, str) or have is None
+                else (math.isclose(have, want, rel_tol=1e-9))
+            )
             if not same:
                 raise AnnulusError(
                     f"{self.out}: was shot with {key} = {have}, now {want}: resume with the same settings"
@@ -241,9 +248,10 @@ class _Sweep:
         if self.traces:
             samples = len(next(iter(self.traces.values())))
             if (
-                len(trace.volts) != samples or not math.isclose(trace.rate_hz, self._rate_hz, rel_tol=1e-6)
+                len(trace.volts) != samples
+                or not math.isclose(trace.rate_hz, self._rate_hz, rel_tol=1e-6)
                 or abs(t0_s - self._t0_s) > 0.01 / self._rate_hz
-            ):  # fmt: skip
+            ):
                 raise AnnulusError(
                     f"{self.out}: angle {position} has {len(trace.volts)} samples at {trace.rate_hz / 1e6:g} MHz, "
                     f"expected {samples} at {self._rate_hz / 1e6:g} MHz as the others: was the digitizer touched?"
@@ -267,9 +275,17 @@ class _Sweep:
         if self._clipped:
             extra["clipped"] = ",".join(str(row) for row, i in enumerate(order) if i in self._clipped)
         return AcousticRecord(
-            np.stack([self.traces[i] for i in order]), plan.angles_deg[order], plan.radius_mm, self._rate_hz,
-            self._t0_s, plan.sound_speed_m_s, text(pattern(plan.code)), 1e-6 * plan.chip_us, plan.averages, extra,
-        )  # fmt: skip
+            np.stack([self.traces[i] for i in order]),
+            plan.angles_deg[order],
+            plan.radius_mm,
+            self._rate_hz,
+            self._t0_s,
+            plan.sound_speed_m_s,
+            text(pattern(plan.code)),
+            1e-6 * plan.chip_us,
+            plan.averages,
+            extra,
+        )
 
     def findings(self) -> list[str]:
         """What is wrong with the sweep as a whole, one line each."""

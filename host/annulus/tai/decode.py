@@ -30,11 +30,19 @@ def save_template(path: Path, template: Template, chip_s: float) -> None:
 
 def template_to_dict(template: Template, chip_s: float) -> dict[str, Any]:
     return {
-        "format": FORMAT, "pattern": template.code, "template": [float(tap) for tap in template.taps],
-        "psr": template.psr, "gain_db": template.gain_db, "ceiling_db": template.ceiling_db, "peak": template.peak,
-        "taps_spacing_chips": template.spacing, "delay_chips": template.delay, "guard_chips": template.guard_chips,
-        "method": template.method, "chip_us": 1e6 * chip_s,
-    }  # fmt: skip
+        "format": FORMAT,
+        "pattern": template.code,
+        "template": [float(tap) for tap in template.taps],
+        "psr": template.psr,
+        "gain_db": template.gain_db,
+        "ceiling_db": template.ceiling_db,
+        "peak": template.peak,
+        "taps_spacing_chips": template.spacing,
+        "delay_chips": template.delay,
+        "guard_chips": template.guard_chips,
+        "method": template.method,
+        "chip_us": 1e6 * chip_s,
+    }
 
 
 def load_template(path: Path) -> Template:
@@ -66,9 +74,18 @@ def load_template(path: Path) -> Template:
     ):
         raise AnnulusError(f"{path}: taps_spacing_chips, delay_chips or psr is out of range")
     return Template(
-        text(chips), taps, numbers["taps_spacing_chips"], peak, np.zeros(0), numbers["psr"], numbers["gain_db"],
-        numbers["ceiling_db"], numbers["guard_chips"], data.get("method", "minimax"), numbers["delay_chips"],
-    )  # fmt: skip
+        text(chips),
+        taps,
+        numbers["taps_spacing_chips"],
+        peak,
+        np.zeros(0),
+        numbers["psr"],
+        numbers["gain_db"],
+        numbers["ceiling_db"],
+        numbers["guard_chips"],
+        data.get("method", "minimax"),
+        numbers["delay_chips"],
+    )
 
 
 def decode_record(record: AcousticRecord, template: Template | None = None) -> tuple[AcousticRecord, Template | None]:
@@ -105,9 +122,12 @@ def decode_records(first: AcousticRecord, second: AcousticRecord) -> AcousticRec
     if [first.code, second.code] != codes:
         raise AnnulusError("a pair must be a sweep with manchester1 and one with manchester2, in this order")
     if (
-        first.signals.shape != second.signals.shape or first.sampling_rate_hz != second.sampling_rate_hz
-        or not np.allclose(first.angles_deg, second.angles_deg) or first.chip_s != second.chip_s or first.chip_s is None
-    ):  # fmt: skip
+        first.signals.shape != second.signals.shape
+        or first.sampling_rate_hz != second.sampling_rate_hz
+        or not np.allclose(first.angles_deg, second.angles_deg)
+        or first.chip_s != second.chip_s
+        or first.chip_s is None
+    ):
         raise AnnulusError("the two sweeps of a pair must agree in positions, samples, sampling rate and chip")
     signals = decode_pair(
         [first.signals, second.signals], first.sampling_rate_hz, [pattern(code) for code in codes], first.chip_s

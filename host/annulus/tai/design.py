@@ -41,9 +41,15 @@ def design_template(
         template = design(chips, taps, chosen, chip_s=chip_s)
     else:
         template = design(
-            chips, taps, chosen, transducer=load_transducer(transducer), samples_per_chip=samples_per_chip,
-            chip_s=chip_s, guard_chips=guard_chips, gain_floor_db=None if chosen == "matched" else gain_floor_db,
-        )  # fmt: skip
+            chips,
+            taps,
+            chosen,
+            transducer=load_transducer(transducer),
+            samples_per_chip=samples_per_chip,
+            chip_s=chip_s,
+            guard_chips=guard_chips,
+            gain_floor_db=None if chosen == "matched" else gain_floor_db,
+        )
     ones = int(chips.sum())
     answer = template_to_dict(template, chip_s)
     answer |= {
@@ -113,8 +119,10 @@ def picture(template: Template, chip_s: float, path: Path) -> None:
     bottom.plot(away, level, color="tab:green", lw=0.9)
     bottom.axhline(-20 * math.log10(template.psr), color="0.5", lw=0.8, ls="--")
     bottom.set(
-        xlabel="time from the peak, us", ylabel="decoded, dB", ylim=(-70, 3),
+        xlabel="time from the peak, us",
+        ylabel="decoded, dB",
+        ylim=(-70, 3),
         title=f"highest sidelobe 1/{template.psr:.1f}, gain {template.gain_db:.2f} dB of {template.ceiling_db:.2f} dB",
-    )  # fmt: skip
+    )
     figure.savefig(path, dpi=130)
     plt.close(figure)

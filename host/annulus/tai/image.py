@@ -125,17 +125,32 @@ def make_image(
     holes = tuple(gaps_deg(sweep.angles_deg))
     out.mkdir(parents=True, exist_ok=True)
     np.savez(
-        out / "image.npz", image=image.values, x_mm=image.x_mm, y_mm=image.y_mm,
-        sound_speed_m_s=image.sound_speed_m_s, angles_deg=sweep.angles_deg, radius_mm=sweep.radius_mm,
-    )  # fmt: skip
+        out / "image.npz",
+        image=image.values,
+        x_mm=image.x_mm,
+        y_mm=image.y_mm,
+        sound_speed_m_s=image.sound_speed_m_s,
+        angles_deg=sweep.angles_deg,
+        radius_mm=sweep.radius_mm,
+    )
     picture(image, sweep, out / "image.png", source.name)
     at = np.unravel_index(int(np.nanargmax(image.values)), image.values.shape)
     return ImageResult(
-        len(record.signals), tuple(sorted(set(range(len(record.signals))) - {int(i) for i in kept})), tuple(findings),
-        holes, coded, image.method, image.sound_speed_m_s, fit is not None, fit.agreement if fit else None, arrival,
-        float(image.x_mm[1] - image.x_mm[0]), (image.values.shape[1], image.values.shape[0]), image.misfit,
+        len(record.signals),
+        tuple(sorted(set(range(len(record.signals))) - {int(i) for i in kept})),
+        tuple(findings),
+        holes,
+        coded,
+        image.method,
+        image.sound_speed_m_s,
+        fit is not None,
+        fit.agreement if fit else None,
+        arrival,
+        float(image.x_mm[1] - image.x_mm[0]),
+        (image.values.shape[1], image.values.shape[0]),
+        image.misfit,
         (float(image.values[at]), float(image.x_mm[at[1]]), float(image.y_mm[at[0]])),
-    )  # fmt: skip
+    )
 
 
 def known_arrival(record: AcousticRecord) -> Arrival | None:
@@ -161,9 +176,13 @@ def _imaged(sweep: Sweep, settings: ImageSettings, progress: Callable[[str, int,
     if settings.method == "back-projection":
         return back_projection(sweep, pixel=settings.pixel_mm, region=settings.region)
     return time_reversal(
-        sweep, pixel=settings.pixel_mm, region=settings.region, refinements=settings.refinements,
-        nonnegative=settings.nonnegative, progress=progress,
-    )  # fmt: skip
+        sweep,
+        pixel=settings.pixel_mm,
+        region=settings.region,
+        refinements=settings.refinements,
+        nonnegative=settings.nonnegative,
+        progress=progress,
+    )
 
 
 def picture(image: Image, sweep: Sweep, path: Path, title: str) -> None:
@@ -193,9 +212,12 @@ def picture(image: Image, sweep: Sweep, path: Path, title: str) -> None:
     whole = (-1.1 * radius_mm, 1.1 * radius_mm)
     cut_out = max(extent[1] - extent[0], extent[3] - extent[2]) < 1.5 * radius_mm
     axes.set(
-        xlabel="x, mm", ylabel="y, mm", aspect="equal",
-        xlim=extent[:2] if cut_out else whole, ylim=extent[2:] if cut_out else whole,
-    )  # fmt: skip
+        xlabel="x, mm",
+        ylabel="y, mm",
+        aspect="equal",
+        xlim=extent[:2] if cut_out else whole,
+        ylim=extent[2:] if cut_out else whole,
+    )
     missing = sum(stop - start for start, stop in holes_deg)
     note = f", {missing:.0f} deg of the circle not heard" if holes_deg else ""
     axes.set_title(f"{title}: {image.method}, {image.sound_speed_m_s:.0f} m/s, {len(turn)} positions{note}", fontsize=9)

@@ -58,9 +58,12 @@ def simulate(
     ears = receivers(grid, _faces(setup) - np.array(SHIFT_MM))
     rise = draw(parts, grid, SHIFT_MM) * setup.pulse_pa / setup.chip_s
     heard = solver.forward(
-        rise, ears, steps, _envelope(chips, setup.chip_s, solver.dt_s),
+        rise,
+        ears,
+        steps,
+        _envelope(chips, setup.chip_s, solver.dt_s),
         (lambda done, of: progress("sound", done, of)) if progress else None,
-    )  # fmt: skip
+    )
     if progress:
         progress("sound", 1, 1)
     samples = math.floor((steps - 1) * solver.dt_s * setup.sampling_rate_hz)
@@ -71,10 +74,17 @@ def simulate(
     signals += setup.noise_pa / math.sqrt(setup.averages) * rng.standard_normal(signals.shape)
     angles = np.arange(setup.positions, dtype=np.float64) * (360.0 / setup.positions)
     return AcousticRecord(
-        signals.astype(np.float32), angles, setup.radius_mm,
-        setup.sampling_rate_hz, 0.0, setup.sound_speed_m_s, text(chips), setup.chip_s, setup.averages,
+        signals.astype(np.float32),
+        angles,
+        setup.radius_mm,
+        setup.sampling_rate_hz,
+        0.0,
+        setup.sound_speed_m_s,
+        text(chips),
+        setup.chip_s,
+        setup.averages,
         {"source": "annulus tai simulate", "seed": float(setup.seed), "sound": "plane"},
-    )  # fmt: skip
+    )
 
 
 def _faces(setup: Setup) -> NDArray[np.float64]:

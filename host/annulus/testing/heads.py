@@ -17,13 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from annulus.controller import (
-    PIN_INTERLOCK,
-    PIN_SYNC,
-    TICK_HZ,
-    TICK_NS,
-    TICKS_PER_US,
-)
+from annulus.controller import PIN_INTERLOCK, PIN_SYNC, TICK_HZ, TICK_NS, TICKS_PER_US
 from annulus.testing.protocol_simulated import publish, withdraw
 from annulus.testing.scripted import BadLine, ScriptedController
 from annulus.twin.emulated import Board, EmulatedBoard, open_board

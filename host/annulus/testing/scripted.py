@@ -162,9 +162,19 @@ class ScriptedController:
                 if command.schema != self.schema:
                     ok = (StatusCode.SCHEMA, 0)
                 return IdentifyReply(
-                    *ok, PROTOCOL_VERSION, self.schema, self.boot, BootCause.POWER_ON, TICK_HZ, b"deadbeef",
-                    b"scripted", 2_000_000, 500, 30, 3000,
-                )  # fmt: skip
+                    *ok,
+                    PROTOCOL_VERSION,
+                    self.schema,
+                    self.boot,
+                    BootCause.POWER_ON,
+                    TICK_HZ,
+                    b"deadbeef",
+                    b"scripted",
+                    2_000_000,
+                    500,
+                    30,
+                    3000,
+                )
             case Ping():
                 return PingReply(*ok, tick)
             case Status():

@@ -142,9 +142,7 @@ def receiver_agreement(sweep: Sweep, arrival: Arrival, region: Region | None = N
 
 def likelier_arrival(sweep: Sweep, region: Region | None = None) -> Arrival:
     """The way for sound to arrive under which halves of the circle agree better at the sweep's own speed of sound."""
-    space, plane = (
-        _Halves(_Looks(sweep, arrival, region)).agreement(sweep.sound_speed_m_s) for arrival in LAG_RAD
-    )  # fmt: skip
+    space, plane = (_Halves(_Looks(sweep, arrival, region)).agreement(sweep.sound_speed_m_s) for arrival in LAG_RAD)
     return "space" if space > plane else "plane"
 
 

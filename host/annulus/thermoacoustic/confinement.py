@@ -17,10 +17,7 @@ class Confinement:
 
 
 def confinement(
-    size_mm: float,
-    pulse_s: float,
-    sound_speed_m_s: float = 1500.0,
-    diffusivity_m2_s: float = WATER_DIFFUSIVITY_M2_S,
+    size_mm: float, pulse_s: float, sound_speed_m_s: float = 1500.0, diffusivity_m2_s: float = WATER_DIFFUSIVITY_M2_S
 ) -> Confinement:
     """For structures of `size_mm`: tau_th = L^2 / 4 D (the square, which the source leaves out), tau_s = L / c."""
     for name, value in (("size_mm", size_mm), ("pulse_s", pulse_s), ("sound_speed_m_s", sound_speed_m_s)):

@@ -161,8 +161,10 @@ def time_reversal(
         progress("imaging", 1, 1)
     name = "time reversal" + (f", {len(misfit)} refinements" if misfit else "")
     part = Region.about_axis(sweep.radius_mm) if region is None else region
-    return _cropped(Image(np.where(inside, estimate, np.nan), grid.x_mm, grid.y_mm, name, sweep.sound_speed_m_s,
-                          tuple(misfit)), part)  # fmt: skip
+    return _cropped(
+        Image(np.where(inside, estimate, np.nan), grid.x_mm, grid.y_mm, name, sweep.sound_speed_m_s, tuple(misfit)),
+        part,
+    )
 
 
 def back_projection(sweep: Sweep, *, pixel: float | None = None, region: Region | None = None) -> Image:

@@ -41,12 +41,15 @@ Part = Disc | Box
 PHANTOMS: Mapping[str, tuple[Part, ...]] = {
     # cheese with three agar cores (§8.4); agar holds more water and takes more power
     "inclusions": (
-        Disc(0.0, 0.0, 14.0, 0.35), Disc(-4.5, -3.5, 3.0, 1.0), Disc(5.5, -1.0, 2.0, 1.0), Disc(0.5, 6.5, 1.5, 0.8),
+        Disc(0.0, 0.0, 14.0, 0.35),
+        Disc(-4.5, -3.5, 3.0, 1.0),
+        Disc(5.5, -1.0, 2.0, 1.0),
+        Disc(0.5, 6.5, 1.5, 0.8),
     ),
     "core": (Disc(0.0, 0.0, 14.0, 0.35), Disc(1.0, 0.0, 5.0, 1.0)),  # one agar core of 10 mm (Fig. 8.7)
     "wires": (Disc(0.0, 0.0, 13.65, 0.25), Disc(-5.0, 0.0, 0.3, 1.0), Disc(5.0, 0.0, 0.3, 1.0)),  # Fig. 8.13
     "shapes": (Disc(-4.0, 0.0, 1.0, 1.0), Box(0.0, 0.0, 2.0, 2.0, 1.0), Box(4.5, 0.0, 1.5, 3.0, 1.0)),  # Fig. 7.5
-}  # fmt: skip
+}
 
 
 def phantom(name: str) -> tuple[Part, ...]:

@@ -138,10 +138,18 @@ def design(
     scale = output[peak]
     best, output = best / scale, output / scale
     return Template(
-        text(chips), best, 1 / samples_per_chip, int(peak), output, _psr(output, peak, guard),
-        -20 * math.log10(float(np.linalg.norm(best)) * single), ceiling, guard_chips, method,
+        text(chips),
+        best,
+        1 / samples_per_chip,
+        int(peak),
+        output,
+        _psr(output, peak, guard),
+        -20 * math.log10(float(np.linalg.norm(best)) * single),
+        ceiling,
+        guard_chips,
+        method,
         peak + 0.5 if transducer is None else peak / samples_per_chip,  # a pulse's middle: half a chip after its start
-    )  # fmt: skip
+    )
 
 
 def decode(signals: NDArray[np.floating], sampling_rate_hz: float, template: Template, chip_s: float) -> FloatArray:
@@ -231,10 +239,14 @@ def _solve(
     if floor_db is None:
         column = np.full((len(beside), 1), -1.0)
         answer = scipy.optimize.linprog(
-            np.append(np.zeros(count), 1.0), A_ub=np.block([[beside, column], [-beside, column]]),
-            b_ub=np.zeros(2 * len(beside)), A_eq=np.append(system[peak], 0.0)[None], b_eq=[1.0],
-            bounds=[(None, None)] * count + [(0.0, None)], method="highs",
-        )  # fmt: skip
+            np.append(np.zeros(count), 1.0),
+            A_ub=np.block([[beside, column], [-beside, column]]),
+            b_ub=np.zeros(2 * len(beside)),
+            A_eq=np.append(system[peak], 0.0)[None],
+            b_eq=[1.0],
+            bounds=[(None, None)] * count + [(0.0, None)],
+            method="highs",
+        )
         if answer.x is None:
             raise AnnulusError(f"no such template exists (the solver says {answer.message}): take more taps")
         return np.asarray(answer.x[:count])

@@ -102,10 +102,17 @@ class Drawn:
                 continue
             half = _half_length(one)
             odo = [self.odometer_mm(one.at_mm + way * half) for way in (-1, 1)]
-            bores.append({
-                "kind": one.fill, "odo0_mm": odo[0], "odo1_mm": odo[1], "radius_mm": one.radius_mm,
-                "offset_mm": one.offset_mm, "phi_deg": one.phi_deg, "soil_eps": self.ground.eps_at(one.at_mm),
-            })  # fmt: skip
+            bores.append(
+                {
+                    "kind": one.fill,
+                    "odo0_mm": odo[0],
+                    "odo1_mm": odo[1],
+                    "radius_mm": one.radius_mm,
+                    "offset_mm": one.offset_mm,
+                    "phi_deg": one.phi_deg,
+                    "soil_eps": self.ground.eps_at(one.at_mm),
+                }
+            )
         return {"scene": {"length_m": self.ground.length_mm / 1000}, "bores": bores, "near": near}
 
 
@@ -117,8 +124,15 @@ def _half_length(bore: Bore) -> float:
     return 0.5 * float(np.ptp(z[inside])) if len(inside) else 1.0
 
 
-def some_ground(length_mm: float, seed: int, soils: tuple[float, ...] = (15.0, 4.0, 22.0), bores: int = 3,
-                near: int = 2, pose: bool = False, loss: bool = False) -> Ground:  # fmt: skip
+def some_ground(
+    length_mm: float,
+    seed: int,
+    soils: tuple[float, ...] = (15.0, 4.0, 22.0),
+    bores: int = 3,
+    near: int = 2,
+    pose: bool = False,
+    loss: bool = False,
+) -> Ground:
     """A pipe with sewers of all kinds through, half into and beside it, couplings, beads and voids between."""
     rng = np.random.default_rng(seed)
     count = bores + near
@@ -134,8 +148,9 @@ def some_ground(length_mm: float, seed: int, soils: tuple[float, ...] = (15.0, 4
         sewers.append(Bore(float(order.pop()), radius, offset, phi, float(rng.uniform(58, 90)), fill))
     voids = tuple((float(order.pop()), float(rng.uniform(10, 28)), float(rng.uniform(0, 360))) for _ in range(count))
     couplings, beads = tuple(float(order.pop()) for _ in range(2)), tuple(float(order.pop()) for _ in range(2))
-    return Ground(length_mm, soils, bores=tuple(sewers), couplings_mm=couplings, beads_mm=beads, voids=voids,
-                  pose=pose, loss=loss)  # fmt: skip
+    return Ground(
+        length_mm, soils, bores=tuple(sewers), couplings_mm=couplings, beads_mm=beads, voids=voids, pose=pose, loss=loss
+    )
 
 
 def log(ground: Ground, seed: int) -> Drawn:
@@ -224,8 +239,11 @@ def _round_the_pipe(
             lossy = np.where(inside, np.where(wet, WATER_LOSS_FF, 0.0), lossy)
         for at, radius, phi in ground.voids:
             off = PIPE_MM + 0.5 * radius
-            away = np.sqrt((z[:, None] - at) ** 2 + (x - off * math.cos(math.radians(phi))) ** 2
-                           + (y - off * math.sin(math.radians(phi))) ** 2)  # fmt: skip
+            away = np.sqrt(
+                (z[:, None] - at) ** 2
+                + (x - off * math.cos(math.radians(phi))) ** 2
+                + (y - off * math.sin(math.radians(phi))) ** 2
+            )
             here = np.where(away < radius, 1.0, here)
         level += weight * SWING_FF * (here - 1) / (here + HALF_EPS)
         loss += weight * lossy

@@ -36,7 +36,7 @@ from annulus.twin.stretch import (
     Y,
     Z,
     jit,
-)  # fmt: skip
+)
 from annulus.twin.walls import PER_Z, padded, wall_at
 from annulus.twin.worlds.course import Course, across
 from annulus.twin.worlds.world import CLOCKS, World
@@ -234,8 +234,18 @@ def entry(above: Real, below: Real, apart: Real) -> Real:
 
 
 @jit
-def meet_tube(part: Stretch, u0: int, eye: Eye, pixel_rad: F32, sharp: F32, tube: Tube, lamp: F32, lit: F32,
-              mirrored: bool, hint: int) -> bool:  # fmt: skip
+def meet_tube(
+    part: Stretch,
+    u0: int,
+    eye: Eye,
+    pixel_rad: F32,
+    sharp: F32,
+    tube: Tube,
+    lamp: F32,
+    lit: F32,
+    mirrored: bool,
+    hint: int,
+) -> bool:
     """What each pixel sees, as `fall` and those after it ask. Whether water is in view.
 
     Of a place under water, X, Y, Z are where the projector's light would have come to had it gone on straight, the
@@ -346,9 +356,19 @@ def tube_of(world: World) -> Tube:
         end = piece.radius_mm if piece.end_radius_mm is None else piece.end_radius_mm
         toward = across(piece.toward_deg)
         rows.append(
-            [start, piece.length_mm, *origin, *axes.T.ravel(), piece.bend_radius_mm, toward[0], toward[1],
-             piece.radius_mm, (end - piece.radius_mm) / piece.length_mm, piece.brightness]
-        )  # fmt: skip
+            [
+                start,
+                piece.length_mm,
+                *origin,
+                *axes.T.ravel(),
+                piece.bend_radius_mm,
+                toward[0],
+                toward[1],
+                piece.radius_mm,
+                (end - piece.radius_mm) / piece.length_mm,
+                piece.brightness,
+            ]
+        )
     pieces = np.array(rows)
     joints = [(s, p.joint) for s, p in zip(course.starts_mm[1:], course.pieces[1:], strict=True) if p.joint]
     beads = np.array([[s, j.height_mm, j.width_mm, j.notch_mm] for s, j in joints if j.height_mm > 0]).reshape(-1, 4)
@@ -380,6 +400,14 @@ def tube_of(world: World) -> Tube:
     turn += max([0.0] + [_LEAP_MM / (p.bend_radius_mm - p.radius_mm) for p in bends])
     level = _DRY_MM if course.level_mm is None else course.level_mm
     return Tube(
-        pieces, beads, np.array(bores).reshape(-1, 8), level, padded(world), float(stations[0]), turn, rough,
-        np.ascontiguousarray(near), np.ascontiguousarray(leap),
-    )  # fmt: skip
+        pieces,
+        beads,
+        np.array(bores).reshape(-1, 8),
+        level,
+        padded(world),
+        float(stations[0]),
+        turn,
+        rough,
+        np.ascontiguousarray(near),
+        np.ascontiguousarray(leap),
+    )

@@ -66,9 +66,13 @@ class Drawing:
                     continue
                 exposure = part.exposure
                 whole = self._renderer.render(
-                    exposure.pose, exposure.z_mm, exposure.projector, exposure.led, seed=exposure.sequence,
+                    exposure.pose,
+                    exposure.z_mm,
+                    exposure.projector,
+                    exposure.led,
+                    seed=exposure.sequence,
                     out=slot if part.top == 0.0 else None,
-                )  # fmt: skip
+                )
                 rows = slice(round(part.top * len(slot)), round(part.bottom * len(slot)))
                 slot[rows] = whole[rows]
             self._done.put(job)

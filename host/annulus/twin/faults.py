@@ -17,9 +17,18 @@ Placed = tuple[tuple[int, float], ...]
 """(frame, how much): from that frame on, or for so long."""
 
 _SHARES = (
-    "frames_dropped", "frames_repeated", "frames_torn", "frames_late", "stamps_late", "stamps_odd", "events_lost",
-    "bytes_flipped", "sync_missing", "sync_glitches", "flashes_failed",
-)  # fmt: skip
+    "frames_dropped",
+    "frames_repeated",
+    "frames_torn",
+    "frames_late",
+    "stamps_late",
+    "stamps_odd",
+    "events_lost",
+    "bytes_flipped",
+    "sync_missing",
+    "sync_glitches",
+    "flashes_failed",
+)
 _WHETHER = ("uncounted", "stamped_when_handed_over")
 _AMOUNTS = {
     "timestamp_jitter_us": (0.0, 1e6),

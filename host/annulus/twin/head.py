@@ -45,8 +45,11 @@ SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
 _START_S = 300.0  # the first start of a fresh install compiles the renderer, on a small machine too
 HEADS: Mapping[str, Callable[[int], World]] = {  # by seed
-    "ring": demo_world, "stereo": stereo_world, "fringe": series_world, "fringe-mirror": mirror_fringe_world,
-}  # fmt: skip
+    "ring": demo_world,
+    "stereo": stereo_world,
+    "fringe": series_world,
+    "fringe-mirror": mirror_fringe_world,
+}
 
 
 def head_timing(fps: float, trigger: str = "none") -> FrameTiming:
@@ -263,9 +266,17 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
 
 def run_head(
-    fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring",
-    buried_m: float | None = None, pins: Pins = AS_WIRED, trigger: str = "none",
-) -> None:  # fmt: skip
+    fps: float,
+    seed: int,
+    faults: Path | None,
+    board: str,
+    roll_deg: float,
+    out: Path | None,
+    head: str = "ring",
+    buried_m: float | None = None,
+    pins: Pins = AS_WIRED,
+    trigger: str = "none",
+) -> None:
     """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
 
     Prints the head.toml that finds it, or writes it into `out`, with the calibration and the truth beside it. The head

@@ -92,13 +92,22 @@ class HeadBus(TwinBus):
     def __init__(self, address: str, tank: Tank, shunt_mohm: float) -> None:
         nan = float("nan")
         self._plays = dict.fromkeys((*CHANNELS, *LOSSES), nan) | {
-            "voltage_v": 5.0, "current_a": 0.0, "x_g": 0.0, "y_g": -1.0, "z_g": 0.0, "temperature_c": 20.0,
-        }  # fmt: skip
+            "voltage_v": 5.0,
+            "current_a": 0.0,
+            "x_g": 0.0,
+            "y_g": -1.0,
+            "z_g": 0.0,
+            "temperature_c": 20.0,
+        }
         plays = self._plays
-        super().__init__({
-            0x2A: fdc2214(plays, tank), 0x48: ads1115(plays, tank), 0x40: ina226(plays, shunt_mohm),
-            0x68: mpu6050(plays),
-        })  # fmt: skip
+        super().__init__(
+            {
+                0x2A: fdc2214(plays, tank),
+                0x48: ads1115(plays, tank),
+                0x40: ina226(plays, shunt_mohm),
+                0x68: mpu6050(plays),
+            }
+        )
         self._head = RemoteSensors(address)
 
     def close(self) -> None:
@@ -108,8 +117,13 @@ class HeadBus(TwinBus):
     def _chip(self, address: int) -> Chip:
         for sample in self._head.poll():
             self._plays.update({name: value for name, value in sample.values.items() if name in self._plays})
-            self._plays.update({f"{axis}_g": sample.values[f"{axis}_m_s2"] / G_M_S2 for axis in "xyz"
-                            if f"{axis}_m_s2" in sample.values})  # fmt: skip
+            self._plays.update(
+                {
+                    f"{axis}_g": sample.values[f"{axis}_m_s2"] / G_M_S2
+                    for axis in "xyz"
+                    if f"{axis}_m_s2" in sample.values
+                }
+            )
         time.sleep(TRANSFER_S)
         return super()._chip(address)
 

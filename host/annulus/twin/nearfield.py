@@ -92,9 +92,15 @@ class NearFieldRig:
     """Board, stage and meter; `run` keeps them up with the clock. For `real_time.serving`."""
 
     def __init__(
-        self, board: Board, field: Field = joint_field, *, steps_per_turn: int = 400, boot: int = 1,
-        stage: GrblStage | None = None, seed: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        board: Board,
+        field: Field = joint_field,
+        *,
+        steps_per_turn: int = 400,
+        boot: int = 1,
+        stage: GrblStage | None = None,
+        seed: int = 1,
+    ) -> None:
         self.board, self.field, self.steps_per_turn = board, field, steps_per_turn
         self.stage = stage or GrblStage()
         self.steps = 0

@@ -44,9 +44,19 @@ LATE_S = 0.3  # further behind, the world's time is stretched: a host's silence 
 SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
 SAMPLES_WAITING_MAX = 1000  # at a subscriber that does not read
 COUNTED = (
-    "frames", "rendered", "dropped_on_purpose", "driver_dropped_no_buffer", "driver_dropped_too_slow", "resets",
-    "power_losses", "disconnects", "pulls", "serial_overflow", "camera_closed", "samples",
-)  # fmt: skip
+    "frames",
+    "rendered",
+    "dropped_on_purpose",
+    "driver_dropped_no_buffer",
+    "driver_dropped_too_slow",
+    "resets",
+    "power_losses",
+    "disconnects",
+    "pulls",
+    "serial_overflow",
+    "camera_closed",
+    "samples",
+)
 
 
 def main() -> None:
@@ -87,9 +97,7 @@ class _Camera:
     def __init__(
         self, number: int, renderer: Renderer, driver: Driver, timing: FrameTiming, counts: Counter[str], threads: int
     ) -> None:
-        hello = {
-            "width": renderer.width, "height": renderer.height, "encoding": BAYER_RGGB8, "timing": asdict(timing)
-        }  # fmt: skip
+        hello = {"width": renderer.width, "height": renderer.height, "encoding": BAYER_RGGB8, "timing": asdict(timing)}
         self.server = CameraServer(hello, counts, number)
         self.drawing = Drawing(renderer, self.server.slots, threads)
         self.driver = driver
@@ -131,14 +139,7 @@ class Head:
         start = self.board.tick
         clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
         self.sensor = sensor_of(
-            self.world,
-            self.timing,
-            self.faults,
-            seed=seed,
-            clock=clock,
-            start_tick=start,
-            pins=pins,
-            trigger=trigger,
+            self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start, pins=pins, trigger=trigger
         )
         ground = None if order.get("ground") is None else ground_of(order["ground"])
         self.sensors = HeadSensors(

@@ -89,20 +89,48 @@ PROFILES = {
     "none": Profile("nothing"),
     "standard": Profile(
         "the line and the driver on a good day, and two restarts of the controller",
-        Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0), thirds=True,
+        Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
+        thirds=True,
     ),
     "rough": Profile(
         "a bad line, a noisy sync cable",
-        Faults(frames_dropped=0.03, events_lost=0.02, bytes_flipped=1e-4, timestamp_jitter_us=3000.0,
-               sync_missing=0.003, sync_glitches=0.003), thirds=True,
+        Faults(
+            frames_dropped=0.03,
+            events_lost=0.02,
+            bytes_flipped=1e-4,
+            timestamp_jitter_us=3000.0,
+            sync_missing=0.003,
+            sync_glitches=0.003,
+        ),
+        thirds=True,
     ),
     "all": Profile(
         "everything",
-        Faults(frames_dropped=0.01, events_lost=0.01, bytes_flipped=1e-4, timestamp_jitter_us=1000.0,
-               frames_late=0.002, frames_torn=0.001, frames_repeated=0.001, stamps_late=0.001,
-               stamp_drift_ppm=200.0, stamp_drift_turn_s=240.0),
-        {"resets": 20, "disconnects": 20, "whole steps": 20, "half steps": 20, "part steps": 20, "power losses": 20,
-         "unplugged": 20, "frozen": 20, "count jumps": 20, "count resets": 20, "stalls": 20},
+        Faults(
+            frames_dropped=0.01,
+            events_lost=0.01,
+            bytes_flipped=1e-4,
+            timestamp_jitter_us=1000.0,
+            frames_late=0.002,
+            frames_torn=0.001,
+            frames_repeated=0.001,
+            stamps_late=0.001,
+            stamp_drift_ppm=200.0,
+            stamp_drift_turn_s=240.0,
+        ),
+        {
+            "resets": 20,
+            "disconnects": 20,
+            "whole steps": 20,
+            "half steps": 20,
+            "part steps": 20,
+            "power losses": 20,
+            "unplugged": 20,
+            "frozen": 20,
+            "count jumps": 20,
+            "count resets": 20,
+            "stalls": 20,
+        },
     ),
     "stamp-steps": Profile("stamps move by whole frames", per_million={"whole steps": 400}),
     "five-steps": Profile("stamps move by a whole lamp cycle", per_million={"five steps": 400}),
@@ -143,11 +171,13 @@ PROFILES = {
     ),
     "queue-cycles": Profile(
         "the driver keeps one or two lamp cycles more, or fewer, and its stamps do not know",
-        Faults(timestamp_jitter_us=200.0), {"queue cycles": 1000},
+        Faults(timestamp_jitter_us=200.0),
+        {"queue cycles": 1000},
     ),
     "queue-cycles-alone": Profile(
         ".. and it does not count, and stamps what it hands over",
-        Faults(uncounted=True, stamped_when_handed_over=True), {"queue cycles": 1000},
+        Faults(uncounted=True, stamped_when_handed_over=True),
+        {"queue cycles": 1000},
     ),
     "deeper-restarts": Profile(
         "the camera begins anew, its driver keeps a lamp cycle more from then on", per_million={"deeper restarts": 500}
@@ -178,7 +208,7 @@ PROFILES = {
     "ratio-1": Profile(
         "stamps move, and every other flash is the LED's", per_million={"whole steps": 200, "part steps": 200}, ratio=1
     ),
-}  # fmt: skip
+}
 
 
 def profile_of(source: "Faults | str | Path | None") -> Profile:

@@ -30,7 +30,7 @@ from annulus.twin.stretch import (
     Y,
     Z,
     jit,
-)  # fmt: skip
+)
 from annulus.twin.worlds.world import World
 
 

@@ -112,9 +112,12 @@ def _write(scan: _Scan, path: Path, headers: list[tuple[FrameHeader, Image]], jo
     cameras = [{**mode, "encoding": headers[0][0].encoding, "gives": [width, height]}]
     identity = {"cameras": cameras, "job": job, "versions": {"annulus": importlib.metadata.version("annulus")}}
     with RecordingWriter(
-        path, calibration=world.calibration().to_dict(), configuration={"job": job, "cameras": [mode]}, now_ns=first_ns,
+        path,
+        calibration=world.calibration().to_dict(),
+        configuration={"job": job, "cameras": [mode]},
+        now_ns=first_ns,
         clock=Clock(first_ns, round(BEGAN.timestamp()) * 1_000_000_000),
-    ) as writer:  # fmt: skip
+    ) as writer:
         utc = BEGAN.isoformat(timespec="milliseconds")
         writer.note("/identity", {"why": "start", "host_ns": first_ns, "utc": utc, **identity}, first_ns)
         for at in range(0, len(scan.rows), ROWS_A_NOTE):

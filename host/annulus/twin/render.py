@@ -15,21 +15,7 @@ from annulus.twin.lights.led import LedRing, LedTable, shine
 from annulus.twin.lights.projector import Beam, SlideProjector, fall, shade
 from annulus.twin.lights.slide import slides_of, through
 from annulus.twin.rays import Eye, eye_at, meet_cylinder, ray_table
-from annulus.twin.stretch import (
-    COLUMN,
-    CX,
-    F32,
-    LEVEL,
-    PAINT,
-    PIXELS,
-    PLAIN,
-    SCRATCH,
-    U8,
-    Real,
-    Stretch,
-    Z,
-    jit,
-)  # fmt: skip
+from annulus.twin.stretch import COLUMN, CX, F32, LEVEL, PAINT, PIXELS, PLAIN, SCRATCH, U8, Real, Stretch, Z, jit
 from annulus.twin.walls import PER_Z, Wall, meet_wall, wall_of
 from annulus.twin.worlds.sensor_head import Fringes
 from annulus.twin.worlds.world import World
@@ -111,9 +97,17 @@ def _paint(part: Stretch, wall: Wall, paint: Paint) -> None:
 
 @jit
 def _draw(
-    out: U8, rows: tuple[int, int], eye: Eye, starts: F32 | None, wall: Wall, paint: Paint, beam: Beam,
-    slide: NamedTuple, led: LedTable, pixel: Pixel,
-) -> None:  # fmt: skip
+    out: U8,
+    rows: tuple[int, int],
+    eye: Eye,
+    starts: F32 | None,
+    wall: Wall,
+    paint: Paint,
+    beam: Beam,
+    slide: NamedTuple,
+    led: LedTable,
+    pixel: Pixel,
+) -> None:
     """Rows first..last of one frame, a row at a time in short loops that the compiler turns into vector code."""
     width = out.shape[1]
     scratch = np.zeros(SCRATCH, np.float32)
@@ -151,9 +145,19 @@ def _draw(
 
 @jit
 def _draw_course(
-    out: U8, rows: tuple[int, int], eye: Eye, pixel_rad: F32, tube: Tube, paint: Paint, beam: Beam, slide: NamedTuple,
-    led: LedTable, pixel: Pixel, lit: F32, hint: int,
-) -> None:  # fmt: skip
+    out: U8,
+    rows: tuple[int, int],
+    eye: Eye,
+    pixel_rad: F32,
+    tube: Tube,
+    paint: Paint,
+    beam: Beam,
+    slide: NamedTuple,
+    led: LedTable,
+    pixel: Pixel,
+    lit: F32,
+    hint: int,
+) -> None:
     """The same in a pipe of several pieces; a row with water in it twice, for what the surface mirrors. lit : see
     `meet_tube`. hint : the piece that the head is in."""
     width = out.shape[1]
@@ -234,9 +238,11 @@ class Renderer:
         optics = world.optics
         noise = np.random.default_rng([world.seed, 0x4015E]).standard_normal(_NOISE)
         self._pixel = Pixel(
-            np.array([optics.black, optics.read, optics.shot], np.float32), np.array(optics.balance, np.float32),
-            noise.astype(np.float32), 0,
-        )  # fmt: skip
+            np.array([optics.black, optics.read, optics.shot], np.float32),
+            np.array(optics.balance, np.float32),
+            noise.astype(np.float32),
+            0,
+        )
 
     def render(
         self,
@@ -268,10 +274,17 @@ class Renderer:
         first = eye if self._number == 0 else eye_at(self._rays[lit], self._first, pose, z_mm)
         noise = (seed + self._number * _APART) & 0x7FFFFFFF
         _draw(
-            frame, rows or (0, self.height), eye, self._starts, self._wall, self._paint,
-            self._projectors[lit].beam(pose, z_mm, gains[0]), self._slides[lit].table(pose, z_mm),
-            self._led.table(first, gains[1]), self._pixel._replace(seed=noise),
-        )  # fmt: skip
+            frame,
+            rows or (0, self.height),
+            eye,
+            self._starts,
+            self._wall,
+            self._paint,
+            self._projectors[lit].beam(pose, z_mm, gains[0]),
+            self._slides[lit].table(pose, z_mm),
+            self._led.table(first, gains[1]),
+            self._pixel._replace(seed=noise),
+        )
         return frame
 
     def _render_course(
@@ -285,10 +298,19 @@ class Renderer:
         # of a frame of the LED alone no light of the projector is asked for
         lit = np.array([math.cos(rim) for rim in self._slides[0].rims] if gains[0].any() else [-1.0, 1.0], np.float32)
         _draw_course(
-            frame, rows, eye, self._pixel_rad, self._tube, self._paint,
-            self._projectors[0].beam(head, z_mm, gains[0]), self._slides[0].table(head, z_mm),
-            self._led.table(eye, gains[1]), self._pixel._replace(seed=seed & 0x7FFFFFFF), lit, course.frame(z_mm)[2],
-        )  # fmt: skip
+            frame,
+            rows,
+            eye,
+            self._pixel_rad,
+            self._tube,
+            self._paint,
+            self._projectors[0].beam(head, z_mm, gains[0]),
+            self._slides[0].table(head, z_mm),
+            self._led.table(eye, gains[1]),
+            self._pixel._replace(seed=seed & 0x7FFFFFFF),
+            lit,
+            course.frame(z_mm)[2],
+        )
         return frame
 
 

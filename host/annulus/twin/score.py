@@ -29,10 +29,14 @@ class CloudScore:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "points": self.points, "rms_mm": self.rms_mm, "median_mm": self.median_mm, "p99_abs_mm": self.p99_abs_mm,
-            "gross_over_2mm_percent": self.gross_percent, "near_edges_rms_mm": self.near_edges_rms_mm,
+            "points": self.points,
+            "rms_mm": self.rms_mm,
+            "median_mm": self.median_mm,
+            "p99_abs_mm": self.p99_abs_mm,
+            "gross_over_2mm_percent": self.gross_percent,
+            "near_edges_rms_mm": self.near_edges_rms_mm,
             "rms_by_ring_mm": list(self.rms_by_ring_mm),
-        }  # fmt: skip
+        }
 
 
 def score(
@@ -115,9 +119,14 @@ def score_defects(
             }
         rows.append(row)
     return {
-        "true": len(rows), "found": len(rows) - missed, "missed": missed, "false": len(left), "not_scanned": outside,
-        "rows": rows, "false_rows": [dict(d) for d in left],
-    }  # fmt: skip
+        "true": len(rows),
+        "found": len(rows) - missed,
+        "missed": missed,
+        "false": len(left),
+        "not_scanned": outside,
+        "rows": rows,
+        "false_rows": [dict(d) for d in left],
+    }
 
 
 def _matches(feature: Feature, truth: Mapping[str, Any], row: Mapping[str, Any]) -> bool:

@@ -67,8 +67,12 @@ class Imu(_Steady):
     ROLL_DEG, RATE_DEG_S, ACCELERATION_M_S2 = 0.05, 0.1, 0.03  # noise, rms
     VIBRATION_S = 4.0  # m/s2 of vibration for each m/s of speed
     UNITS: ClassVar[Mapping[str, str]] = {
-        "roll_deg": "deg", "roll_rate_deg_s": "deg/s", "x_m_s2": "m/s2", "y_m_s2": "m/s2", "z_m_s2": "m/s2"
-    }  # fmt: skip
+        "roll_deg": "deg",
+        "roll_rate_deg_s": "deg/s",
+        "x_m_s2": "m/s2",
+        "y_m_s2": "m/s2",
+        "z_m_s2": "m/s2",
+    }
 
     def __init__(self, world: World, cable: Cable, clock: HostClock, start_tick: int = 0, seed: int = 0) -> None:
         self._world, self._cable, self._clock, self._seed = world, cable, clock, seed
@@ -191,9 +195,16 @@ class HeadSensors:
     """All sensors of the simulated head. A new one is a class and a line in `__init__`."""
 
     def __init__(
-        self, world: World, cable: Cable, clock: HostClock, faults: Faults = NO_FAULTS, *, start_tick: int = 0,
-        seed: int = 0, ground: Ground | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        world: World,
+        cable: Cable,
+        clock: HostClock,
+        faults: Faults = NO_FAULTS,
+        *,
+        start_tick: int = 0,
+        seed: int = 0,
+        ground: Ground | None = None,
+    ) -> None:
         self._sensors: tuple[HeadSensor, ...] = (
             Imu(world, cable, clock, start_tick, seed),
             Supply(clock, start_tick, seed),

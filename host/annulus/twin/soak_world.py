@@ -65,9 +65,14 @@ def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4, tol
         timing.check_flash(delay_us, width_us, lamp)
         flashes.append((delay_us, width_us))
     return stage_from_us(
-        ratio=ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
-        projector_us=flashes[0], led_us=flashes[1], tolerance_permille=tolerance_permille,
-    )  # fmt: skip
+        ratio=ratio,
+        period_us=timing.period_us,
+        exposure_us=timing.exposure_us,
+        readout_us=timing.readout_us,
+        projector_us=flashes[0],
+        led_us=flashes[1],
+        tolerance_permille=tolerance_permille,
+    )
 
 
 class SoakWorld:
@@ -100,9 +105,15 @@ class SoakWorld:
         self.world = world or clean_world(seed=seed).scaled(WIDTH)
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
         self.sensor = sensor_of(
-            replace(self.world, travel_mm=REACH_MM), self.timing, faults, trigger=trigger, seed=seed, clock=self.clock,
-            start_tick=MS_TICKS, pins=pins,
-        )  # fmt: skip
+            replace(self.world, travel_mm=REACH_MM),
+            self.timing,
+            faults,
+            trigger=trigger,
+            seed=seed,
+            clock=self.clock,
+            start_tick=MS_TICKS,
+            pins=pins,
+        )
         self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
         self.pictures = Pictures(self.world, seed)
         self.line = LossyLine(faults, seed)
@@ -140,11 +151,13 @@ class SoakWorld:
         self._stalls = [
             (self.driver.stall_begins(stall), self.driver.stall_ends(stall)) for stall in sorted(faults.stalls)
         ]
-        self._orders: deque[tuple[int, str, float]] = deque(sorted(
-            [(at, "reset", 0.0) for at in faults.resets]
-            + [(at, "power_loss", 0.0) for at in faults.power_losses]
-            + [(at, "disconnect", ms) for at, ms in faults.disconnects]
-        ))  # fmt: skip
+        self._orders: deque[tuple[int, str, float]] = deque(
+            sorted(
+                [(at, "reset", 0.0) for at in faults.resets]
+                + [(at, "power_loss", 0.0) for at in faults.power_losses]
+                + [(at, "disconnect", ms) for at, ms in faults.disconnects]
+            )
+        )
         self._half = round(period / 2)
 
     # ---- one frame of virtual time ----
@@ -326,11 +339,19 @@ class SoakWorld:
             self.right.append(number)
         elif len(self.shown) < SHOWN_MAX:
             lit = ["+".join(sorted(lamp.name.lower() for lamp in p.exposure.lamps)) for p in one.frame.parts]
-            self.shown.append({
-                "world": self.seed, "frame": number, "verdict": str(verdict), "label": str(header.label),
-                "lit": lit, "of": [int(p.exposure.sequence) for p in one.frame.parts], "z_mm": header.z_mm,
-                "true_z_mm": round(self.truth.z_mm(one.frame.parts[0]), 3), "after": self._before(number),
-            })  # fmt: skip
+            self.shown.append(
+                {
+                    "world": self.seed,
+                    "frame": number,
+                    "verdict": str(verdict),
+                    "label": str(header.label),
+                    "lit": lit,
+                    "of": [int(p.exposure.sequence) for p in one.frame.parts],
+                    "z_mm": header.z_mm,
+                    "true_z_mm": round(self.truth.z_mm(one.frame.parts[0]), 3),
+                    "after": self._before(number),
+                }
+            )
 
     def _before(self, number: int) -> str:
         """The last disturbance before a frame."""

@@ -22,9 +22,9 @@ _PITCH = PIXELS + 8  # eight to spare, for loops that write in fours
 # Ray in the pipe frame (unit), range, place and normal where it meets the wall, range to the plain cylinder, start of a
 # ray of its own; 1 or 0 where light is let through, map column, 1 where there is paint; cosine of the angle to the
 # projector's axis, what its light would give a facing wall, and all light that comes from there.
-(
-    WX, WY, WZ, S, X, Y, Z, NX, NY, NZ, OPEN, COLUMN, PAINT, LIT, LEVEL, PLAIN, CX, CY, CZ, AT
-) = range(0, 20 * _PITCH, _PITCH)  # fmt: skip
+(WX, WY, WZ, S, X, Y, Z, NX, NY, NZ, OPEN, COLUMN, PAINT, LIT, LEVEL, PLAIN, CX, CY, CZ, AT) = range(
+    0, 20 * _PITCH, _PITCH
+)
 SCRATCH = 20 * _PITCH
 
 

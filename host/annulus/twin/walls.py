@@ -37,7 +37,7 @@ from annulus.twin.stretch import (
     Z,
     atan2,
     jit,
-)  # fmt: skip
+)
 from annulus.twin.worlds.world import CLOCKS, STEP_Z_MM, World
 
 PER_Z = np.float32(1.0 / STEP_Z_MM)

@@ -47,7 +47,10 @@ def compared(
     asked = soak(frames, seed, faults=case.faults, progress=progress)
     unasked = soak(frames, seed, faults=case.faults, without=(case.witness,), progress=progress)
     return {
-        "witness": str(case.witness), "faults": case.faults,
-        "wrong": asked["wrong"], "wrong_without": unasked["wrong"],
-        "unknown": asked["unknown"], "unknown_without": unasked["unknown"],
-    }  # fmt: skip
+        "witness": str(case.witness),
+        "faults": case.faults,
+        "wrong": asked["wrong"],
+        "wrong_without": unasked["wrong"],
+        "unknown": asked["unknown"],
+        "unknown_without": unasked["unknown"],
+    }

@@ -83,12 +83,16 @@ class State:
         return Centreline(
             [
                 Piece(
-                    float(row[START]), float(radius), (float(row[0]), float(row[1])), (float(row[2]), float(row[3])),
-                    (float(row[4]), float(row[5])), float(row[TAPER]),
+                    float(row[START]),
+                    float(radius),
+                    (float(row[0]), float(row[1])),
+                    (float(row[2]), float(row[3])),
+                    (float(row[4]), float(row[5])),
+                    float(row[TAPER]),
                 )
                 for row, radius in zip(self.pieces, self.radii_mm(), strict=True)
             ]
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,13 +140,20 @@ def sightings(profiles: Sequence[Profile], cones: Sequence[Cone], sectors: int) 
     poses = [pose for i in usable if (pose := profiles[i].pose) is not None]
     radii = [np.hypot(*profiles[i].points_mm[::37, :2].T) for i in usable]
     return Sightings(
-        points, sigma, np.repeat(np.arange(len(parts)), counts), ring.astype(np.intp),
-        np.concatenate([[0], np.cumsum(counts)[:-1]]), np.array([profiles[i].z_mm for i in usable]),
+        points,
+        sigma,
+        np.repeat(np.arange(len(parts)), counts),
+        ring.astype(np.intp),
+        np.concatenate([[0], np.cumsum(counts)[:-1]]),
+        np.array([profiles[i].z_mm for i in usable]),
         np.array([[p.rx, p.ry, p.tx, p.ty, p.roll or 0.0] for p in poses]),
-        np.array([p.roll is not None for p in poses]), np.array(usable), int(ring.max()) + 1,
-        float(np.median(np.concatenate(radii))), _slides(points, ring.astype(np.intp), cones),
+        np.array([p.roll is not None for p in poses]),
+        np.array(usable),
+        int(ring.max()) + 1,
+        float(np.median(np.concatenate(radii))),
+        _slides(points, ring.astype(np.intp), cones),
         np.column_stack([np.ones(len(points)), points[:, :2] / np.hypot(points[:, 0], points[:, 1])[:, None]]),
-    )  # fmt: skip
+    )
 
 
 def _slides(points: FloatArray, ring: NDArray[np.intp], cones: Sequence[Cone]) -> FloatArray:
@@ -189,9 +200,18 @@ def _locate(seen: Sightings, state: State, local: FloatArray) -> Where:
     size = len(seen.frame)
     residual, chainage, direction = np.empty(size), np.empty(size), np.empty((size, 2))
     _off_the_wall(
-        local, seen.frame, origins, frames, line.piece_of(seen.chainage_mm), line.places, state.pieces,
-        state.radii_mm(), residual, chainage, direction,
-    )  # fmt: skip
+        local,
+        seen.frame,
+        origins,
+        frames,
+        line.piece_of(seen.chainage_mm),
+        line.places,
+        state.pieces,
+        state.radii_mm(),
+        residual,
+        chainage,
+        direction,
+    )
     return Where(residual, chainage, direction)
 
 
@@ -265,9 +285,8 @@ def adjust(
         for k in range(1, len(pieces)):
             pieces[k, START] = max(pieces[k, START], pieces[k - 1, START] + APART_LEAST_MM)
         state = replace(
-            state, pieces=pieces, bias_mm=state.bias_mm + step.bias.reshape(-1, BIAS),
-            heads=state.heads + step.heads,
-        )  # fmt: skip
+            state, pieces=pieces, bias_mm=state.bias_mm + step.bias.reshape(-1, BIAS), heads=state.heads + step.heads
+        )
         where = locate(seen, state)
         if scale == 0.0:
             before, cost = cost, cost_of(where.residual_mm, seen.sigma_mm)
@@ -276,9 +295,16 @@ def adjust(
     weight, unit = _weights(where.residual_mm, seen.sigma_mm, 0.0)
     alike = _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
     return Adjusted(
-        state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, alike * step.covariance,
-        step.follow, alike * step.head_covariance,
-    )  # fmt: skip
+        state,
+        where,
+        weight,
+        unit,
+        cost_of(where.residual_mm, seen.sigma_mm),
+        columns,
+        alike * step.covariance,
+        step.follow,
+        alike * step.head_covariance,
+    )
 
 
 def unmodelled(seen: Sightings, found: Adjusted) -> FloatArray:
@@ -333,9 +359,14 @@ class _Step:
 
 
 def _step(
-    seen: Sightings, state: State, where: Where, weight: FloatArray, unit: float, columns: NDArray[np.intp],
+    seen: Sightings,
+    state: State,
+    where: Where,
+    weight: FloatArray,
+    unit: float,
+    columns: NDArray[np.intp],
     asked: FloatArray | None = None,
-) -> _Step:  # fmt: skip
+) -> _Step:
     """One step of Gauss-Newton. asked : (N, m) residuals, mm, to which the answers are wanted."""
     heads_do = by_head(seen, state, where)
     by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
@@ -344,9 +375,9 @@ def _step(
     normal = by_line.T @ weighted
     right = -weighted.T @ where.residual_mm
     u = np.add.reduceat((heads_do * weight[:, None])[:, :, None] * heads_do[:, None, :], seen.first)
-    w = np.stack([
-        heads_do[a:b].T @ weighted[a:b] for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
-    ])  # fmt: skip
+    w = np.stack(
+        [heads_do[a:b].T @ weighted[a:b] for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)]
+    )
     gh = -np.add.reduceat(heads_do * (weight * where.residual_mm)[:, None], seen.first)
     roll = np.where(seen.roll_known, ROLL_SIGMA, ROLL_HELD)
     prior = np.zeros((f, HEAD))
@@ -369,16 +400,23 @@ def _step(
     k = len(columns)
     answers = np.zeros((k, 0))
     if asked is not None:
-        pull = np.stack([
-            heads_do[a:b].T @ (weight[a:b, None] * asked[a:b])
-            for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
-        ])  # fmt: skip
+        pull = np.stack(
+            [
+                heads_do[a:b].T @ (weight[a:b, None] * asked[a:b])
+                for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
+            ]
+        )
         answers = -(inverse @ (weighted.T @ asked - np.einsum("fhi,fhm->im", solved[:, :, :n], pull)))[:k]
     with_line = inverse[:, :k] @ np.linalg.inv(inverse[:k, :k])  # biases, too, follow the line
     return _Step(
-        heads, step[:k], step[k:], unit**2 * inverse[:k, :k], -solved[:, :, :n] @ with_line,
-        unit**2 * np.linalg.inv(u), answers,
-    )  # fmt: skip
+        heads,
+        step[:k],
+        step[k:],
+        unit**2 * inverse[:k, :k],
+        -solved[:, :, :n] @ with_line,
+        unit**2 * np.linalg.inv(u),
+        answers,
+    )
 
 
 def _priors(state: State) -> FloatArray:

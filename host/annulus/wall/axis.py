@@ -35,7 +35,7 @@ from annulus.wall.adjustment import (
     locate,
     sightings,
     unmodelled,
-)  # fmt: skip
+)
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.footprint import centred, slit_angles
 from annulus.wall.gyro import NO_TURNS, Turns, weigh
@@ -261,9 +261,13 @@ def _begins_something(found: Adjusted, i: int, kind: Begins, radius: float) -> b
     """Whether what a piece differs by from the one before it matters; of a joint, what is sure of it."""
     pieces = found.state.pieces
     size = np.concatenate(
-        [pieces[i, OFFSET], pieces[i, TURN], pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
-         [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]]]
-    )  # fmt: skip
+        [
+            pieces[i, OFFSET],
+            pieces[i, TURN],
+            pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
+            [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]],
+        ]
+    )
     if kind is Begins.JOINT:
         for numbers in ([0, 1], [2, 3], [6]):
             sigma = float(np.linalg.norm([found.sigma(i, k) for k in numbers]))
@@ -454,11 +458,19 @@ def _up_to(seen: Sightings, now: Adjusted, upto_mm: float) -> tuple[Sightings, N
     keep &= np.isin(seen.frame, heads)
     frame = np.searchsorted(heads, seen.frame[keep])
     part = replace(
-        seen, points_mm=seen.points_mm[keep], sigma_mm=seen.sigma_mm[keep], frame=frame, ring=seen.ring[keep],
-        first=np.searchsorted(frame, np.arange(len(heads))), chainage_mm=seen.chainage_mm[heads],
-        heads=seen.heads[heads], roll_known=seen.roll_known[heads], which=seen.which[heads], ways=seen.ways[keep],
+        seen,
+        points_mm=seen.points_mm[keep],
+        sigma_mm=seen.sigma_mm[keep],
+        frame=frame,
+        ring=seen.ring[keep],
+        first=np.searchsorted(frame, np.arange(len(heads))),
+        chainage_mm=seen.chainage_mm[heads],
+        heads=seen.heads[heads],
+        roll_known=seen.roll_known[heads],
+        which=seen.which[heads],
+        ways=seen.ways[keep],
         slide_mm=seen.slide_mm[keep],
-    )  # fmt: skip
+    )
     return part, heads
 
 

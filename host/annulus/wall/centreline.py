@@ -61,9 +61,11 @@ class Centreline:
             frames.append(frame)
         # of each piece its start (P,), curvature (P, 2), and where it begins in space: origin (P, 3), frame (P, 3, 3)
         self.places = (
-            np.array([piece.start_mm for piece in pieces]), np.array([piece.curvature for piece in pieces]),
-            np.array(origins), np.array(frames),
-        )  # fmt: skip
+            np.array([piece.start_mm for piece in pieces]),
+            np.array([piece.curvature for piece in pieces]),
+            np.array(origins),
+            np.array(frames),
+        )
 
     @property
     def is_straight(self) -> bool:

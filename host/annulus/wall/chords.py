@@ -145,9 +145,14 @@ def _left_by(forms: FloatArray, value: FloatArray) -> float:
 
 
 def _goes_on(
-    slabs: Slabs, inwards: FloatArray, radius: FloatArray, clock: float, halves: FloatArray, at: NDArray[np.int64],
+    slabs: Slabs,
+    inwards: FloatArray,
+    radius: FloatArray,
+    clock: float,
+    halves: FloatArray,
+    at: NDArray[np.int64],
     step: int,
-) -> int:  # fmt: skip
+) -> int:
     """The last slab, in one direction, before the wall is seen again where a chord cuts it off. A slab that shows too
     little to be told by itself does not end a level, and slabs that show nothing do not prolong it unless they are the
     scan's last."""

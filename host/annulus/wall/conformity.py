@@ -120,10 +120,13 @@ class Criteria:
         if wall is None and any(one.quantity == "depth_percent_wall" for one in grades.get("loss", ())):
             raise ValueError("[[loss]] depth_percent_wall needs wall_mm, the wall's thickness")
         return cls(
-            untrusted.printable(untrusted.text(top.get("title", ""), "title", TITLE_MAX)), grades,
-            untrusted.whole(top.get("accept_severity", 0), "accept_severity", 0, SEVERITY_MAX), wall, diameter,
+            untrusted.printable(untrusted.text(top.get("title", ""), "title", TITLE_MAX)),
+            grades,
+            untrusted.whole(top.get("accept_severity", 0), "accept_severity", 0, SEVERITY_MAX),
+            wall,
+            diameter,
             untrusted.within(top.get("seen_percent", 0.0), "seen_percent", 0.0, 100.0),
-        )  # fmt: skip
+        )
 
     def limit(self, kind: str, quantity: str) -> float:
         """The tolerance limit: where the first class begins that does not conform; NaN without one."""
@@ -340,16 +343,21 @@ def _is_opposite(one: Defect, other: Defect) -> bool:
 
 
 def _item(
-    criteria: Criteria, group: Group, index: int, kind: str, quantity: str, value: float, k2: float, z_mm: float,
+    criteria: Criteria,
+    group: Group,
+    index: int,
+    kind: str,
+    quantity: str,
+    value: float,
+    k2: float,
+    z_mm: float,
     at_least: bool = False,
-) -> Judged:  # fmt: skip
+) -> Judged:
     limit, lower = criteria.limit(kind, quantity), QUANTITIES[kind][quantity].lower
     off = (k2 if math.isfinite(k2) else 0.0) * (-1.0 if lower else 1.0)
     least, said, most = (criteria.severity(kind, quantity, value + side * off) for side in (-1.0, 0.0, 1.0))
     decision = decide(value, k2, limit, lower=lower, at_least=at_least)
-    return Judged(
-        group, index, str(kind), quantity, value, k2, limit, (least, said, most), decision, z_mm, at_least
-    )  # fmt: skip
+    return Judged(group, index, str(kind), quantity, value, k2, limit, (least, said, most), decision, z_mm, at_least)
 
 
 def _limited(criteria: Criteria, kind: str) -> tuple[str, ...]:
@@ -391,10 +399,7 @@ def _unseen(survey: Survey, criteria: Criteria) -> Iterator[str]:
         yield f"{max(missed, 0.1):.1f} % of the wall was not seen: nothing is claimed there"
     if any(kind in criteria.grades for kind in _LISTED):
         yield f"a place smaller than {survey.size_limit_mm:.1f} mm along or across the pipe is not judged"
-    for kind, values in (
-        ("ovality", shape_ovality(survey.wall)),
-        ("bore", survey.stations.diameter_mean_mm),
-    ):
+    for kind, values in (("ovality", shape_ovality(survey.wall)), ("bore", survey.stations.diameter_mean_mm)):
         unknown = float(np.mean(~np.isfinite(values)))
         if kind in criteria.grades and unknown > 0:
             yield f"{kind} is not known on {max(100.0 * unknown, 0.1):.1f} % of the length"

@@ -255,9 +255,15 @@ def _may_be_level(defect: Defect, wall: Wall) -> bool:
 
 
 def _measured(
-    indication: Indication, one: Indication, wall: Wall, scale: Scale, ratios: tuple[float, float],
-    dark: BoolArray, crests: Float32Array | None, points: Callable[[], Points] | None,
-) -> tuple[Defect, BoolArray]:  # fmt: skip
+    indication: Indication,
+    one: Indication,
+    wall: Wall,
+    scale: Scale,
+    ratios: tuple[float, float],
+    dark: BoolArray,
+    crests: Float32Array | None,
+    points: Callable[[], Points] | None,
+) -> tuple[Defect, BoolArray]:
     """A place as a line of the list, and its cells (Z, A) with what it hides. one : the same with its cells weighed by
     what they may be off, for measuring. ratios : of shadows, the widest ring's and the narrowest's. dark : (Z, A)
     what was not seen and no rim's shadow explains."""

@@ -35,9 +35,14 @@ def slit_angles(profiles: Sequence[Profile], rings: int) -> FloatArray:
 
 
 def centred(
-    seen: Sightings, state: State, cones: Sequence[Cone], points_mm: FloatArray, frame: NDArray[np.intp],
-    ring: NDArray[np.intp], slit_rad: FloatArray,
-) -> FloatArray:  # fmt: skip
+    seen: Sightings,
+    state: State,
+    cones: Sequence[Cone],
+    points_mm: FloatArray,
+    frame: NDArray[np.intp],
+    ring: NDArray[np.intp],
+    slit_rad: FloatArray,
+) -> FloatArray:
     """(N, 3) points of the camera's frame, mm, moved along their cones to where their slits' middles are on this wall.
 
     frame, ring : (N,) each point's; heads are those of `seen` and `state`. slit_rad : (N,) half of the angle between a

@@ -36,7 +36,7 @@ from annulus.wall.adjustment import (
     Sightings,
     State,
     adjust,
-)  # fmt: skip
+)
 
 # Rotation vectors in degrees about the camera's axes, by frame: turned since the frame before; of every frame of the
 # scan, NaN where not known.

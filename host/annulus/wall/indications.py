@@ -269,9 +269,7 @@ def _fill_shadow(height: Float32Array, whole: BoolArray) -> Float32Array:
     """Heights with the unseen cells of the place at the height of their nearest seen neighbour."""
     a = height.shape[1]
     wide_height = np.pad(height, ((0, 0), (a // 4, a // 4)), mode="wrap")
-    index = ndimage.distance_transform_edt(
-        ~np.isfinite(wide_height), return_distances=False, return_indices=True
-    )  # fmt: skip
+    index = ndimage.distance_transform_edt(~np.isfinite(wide_height), return_distances=False, return_indices=True)
     nearest = wide_height[tuple(index)][:, a // 4 : a // 4 + a]
     return np.where(whole, np.where(np.isfinite(height), height, nearest), np.float32(-np.inf))
 

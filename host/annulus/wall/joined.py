@@ -53,19 +53,28 @@ class Sums:
         lean = [p.lean_sigma_deg for p in survey.profiles if p.pose is not None]
         seen_by = {one: part * cells for one, part in survey.seen_by_fraction().items()}
         return cls(
-            survey.points, cells, int(survey.wall.seen.sum()), int(survey.shadowed.sum()), seen_by, survey.rejected,
-            np.array(lean, np.float64), survey.roll_range_deg,
-        )  # fmt: skip
+            survey.points,
+            cells,
+            int(survey.wall.seen.sum()),
+            int(survey.shadowed.sum()),
+            seen_by,
+            survey.rejected,
+            np.array(lean, np.float64),
+            survey.roll_range_deg,
+        )
 
     def plus(self, other: "Sums") -> "Sums":
         rolls = [one for one in (self.roll_deg, other.roll_deg) if one is not None]
         return Sums(
-            self.points + other.points, self.cells + other.cells, self.seen_cells + other.seen_cells,
-            self.hidden_cells + other.hidden_cells, dict(Counter(self.seen_by_cells) + Counter(other.seen_by_cells)),
+            self.points + other.points,
+            self.cells + other.cells,
+            self.seen_cells + other.seen_cells,
+            self.hidden_cells + other.hidden_cells,
+            dict(Counter(self.seen_by_cells) + Counter(other.seen_by_cells)),
             dict(sorted((Counter(self.rejected) + Counter(other.rejected)).items())),
             np.concatenate([self.lean_sigma_deg, other.lean_sigma_deg]),
             (min(a for a, _ in rolls), max(b for _, b in rolls)) if rolls else None,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,18 +143,29 @@ def abstract(survey: Survey, window: Window, step_mm: float) -> Abstract:
     nan = np.float32(np.nan)
     texture = None if survey.texture is None else _pooled_colour(survey.texture, at, count, many)
     coarse = Wall(
-        (np.arange(count) + group[0] + 0.5) * step_mm, wall.clock_deg, pooled(wall.radius_mm, _median, nan),
-        pooled(wall.count, np.sum, 0), pooled(wall.shape_mm, np.nanmean, np.nan),
-        pooled(wall.shape_covariance, np.nanmax, np.nan), pooled(wall.noise_mm, np.nanmean, np.nan),
-        pooled(wall.cell_noise_mm, _median, nan), _nobody(), pooled(wall.sigma_mm, _median, nan), wall.scale_part,
+        (np.arange(count) + group[0] + 0.5) * step_mm,
+        wall.clock_deg,
+        pooled(wall.radius_mm, _median, nan),
+        pooled(wall.count, np.sum, 0),
+        pooled(wall.shape_mm, np.nanmean, np.nan),
+        pooled(wall.shape_covariance, np.nanmax, np.nan),
+        pooled(wall.noise_mm, np.nanmean, np.nan),
+        pooled(wall.cell_noise_mm, _median, nan),
+        _nobody(),
+        pooled(wall.sigma_mm, _median, nan),
+        wall.scale_part,
         wall.oval_part,
-    )  # fmt: skip
+    )
     hidden = pooled(survey.shadowed, np.any, False) & ~coarse.seen
     bare = replace(
-        survey, profiles=(), wall=coarse, shadowed=hidden,
-        detection=replace(survey.detection, label=pooled(survey.detection.label, np.max, 0)), texture=texture,
+        survey,
+        profiles=(),
+        wall=coarse,
+        shadowed=hidden,
+        detection=replace(survey.detection, label=pooled(survey.detection.label, np.max, 0)),
+        texture=texture,
         no_wall=None,
-    )  # fmt: skip
+    )
     return Abstract(window, bare, Sums.of(survey), survey.findings)
 
 
@@ -162,9 +182,11 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
     for part in parts:
         sums = sums.plus(part.sums)
     detection = Detection(
-        tuple(defects), label, surveys[0].detection.limits,
+        tuple(defects),
+        label,
+        surveys[0].detection.limits,
         tuple(place for one in surveys for place in one.detection.undecided),
-    )  # fmt: skip
+    )
     timing: Counter[str] = Counter()
     for one in surveys:
         timing.update(one.timing_ms)
@@ -179,14 +201,25 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
     findings = [finding for part in parts for finding in part.survey.disbelieved]
     lost = _by_kind([finding for part in parts for finding in part.survey.rings_lost or ()], len(parts))
     return Joined(
-        profiles=(), wall=_side_by_side([one.wall for one in surveys], rows),
-        shadowed=rows.laid([one.shadowed for one in surveys], False), detection=detection, stations=stations,
+        profiles=(),
+        wall=_side_by_side([one.wall for one in surveys], rows),
+        shadowed=rows.laid([one.shadowed for one in surveys], False),
+        detection=detection,
+        stations=stations,
         texture=rows.laid(colours, 0) if len(colours) == len(surveys) else None,
-        vibration=None, features=tuple(features), centreline=centreline_of(parts), disbelieved=(*findings, *more),
-        nominal_diameter_mm=first.nominal_diameter_mm, timing_ms=dict(timing), cameras=first.cameras, light=first.light,
-        rings_lost=lost, sums=sums,
-        unjudged=in_one([survey.unjudged for survey in surveys], TOUCH_MM + step), scale=first.scale,
-    )  # fmt: skip
+        vibration=None,
+        features=tuple(features),
+        centreline=centreline_of(parts),
+        disbelieved=(*findings, *more),
+        nominal_diameter_mm=first.nominal_diameter_mm,
+        timing_ms=dict(timing),
+        cameras=first.cameras,
+        light=first.light,
+        rings_lost=lost,
+        sums=sums,
+        unjudged=in_one([survey.unjudged for survey in surveys], TOUCH_MM + step),
+        scale=first.scale,
+    )
 
 
 def centreline_of(parts: Sequence[Abstract]) -> Centreline:
@@ -259,9 +292,12 @@ def _one_defect(one: Defect, other: Defect) -> Defect:
     deepest = max(one, other, key=lambda d: (d.floor_seen, d.depth_mm))
     begin, end = _ends(one, other)
     return replace(
-        deepest, z_mm=(begin + end) / 2, length_mm=end - begin, arc_deg=max(one.arc_deg, other.arc_deg),
+        deepest,
+        z_mm=(begin + end) / 2,
+        length_mm=end - begin,
+        arc_deg=max(one.arc_deg, other.arc_deg),
         area_mm2=max(one.area_mm2, other.area_mm2, deepest.area_mm2 * (end - begin) / max(deepest.length_mm, 1e-9)),
-    )  # fmt: skip
+    )
 
 
 def _one_feature(one: Feature, other: Feature) -> Feature:
@@ -322,19 +358,29 @@ class _Rows:
 def _side_by_side(walls: Sequence[Wall], rows: _Rows) -> Wall:
     unknown = np.float32(np.nan)
     return Wall(
-        rows.z_mm, walls[0].clock_deg, rows.laid([one.radius_mm for one in walls], unknown),
-        rows.laid([one.count for one in walls], 0), rows.carried([one.shape_mm for one in walls]),
-        rows.laid([one.shape_covariance for one in walls], np.inf), rows.carried([one.noise_mm for one in walls]),
-        rows.carried([one.cell_noise_mm for one in walls]), _nobody(),
-        rows.laid([one.sigma_mm for one in walls], unknown), walls[0].scale_part, walls[0].oval_part,
-    )  # fmt: skip
+        rows.z_mm,
+        walls[0].clock_deg,
+        rows.laid([one.radius_mm for one in walls], unknown),
+        rows.laid([one.count for one in walls], 0),
+        rows.carried([one.shape_mm for one in walls]),
+        rows.laid([one.shape_covariance for one in walls], np.inf),
+        rows.carried([one.noise_mm for one in walls]),
+        rows.carried([one.cell_noise_mm for one in walls]),
+        _nobody(),
+        rows.laid([one.sigma_mm for one in walls], unknown),
+        walls[0].scale_part,
+        walls[0].oval_part,
+    )
 
 
 def _nobody() -> Observations:
     return Observations(
-        np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32),
+        np.zeros(0, np.int64),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.float32),
+        np.zeros(0, np.float32),
         np.zeros(0, np.uint8),
-    )  # fmt: skip
+    )
 
 
 def _median(values: NDArray[Any], axis: int) -> NDArray[Any]:

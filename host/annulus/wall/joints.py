@@ -264,9 +264,15 @@ class _Rows:
 
 
 def _joint(
-    wall: Wall, points: Points, rows: _Rows, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
+    wall: Wall,
+    points: Points,
+    rows: _Rows,
+    zone: tuple[float, float],
+    limit: float,
+    axis: Axis,
+    piece: int | None,
     least_shadow_ratio: float,
-) -> Joint | None:  # fmt: skip
+) -> Joint | None:
     """What a zone shows, and the line in it where it begins a `piece` there; None where that is no joint."""
     form = _form(wall, points, zone, limit)
     first, last = points.trimmed(zone, limit)

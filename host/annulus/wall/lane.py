@@ -36,6 +36,9 @@ class Lane:
         marks = tuple(sorted((*self.marks, *other.marks), key=lambda one: one.z_mm))
         told = self.told if self.told == other.told else f"{self.told} {other.told}".strip()
         return Lane(
-            z[order], np.concatenate([self.c_pf, other.c_pf])[order],
-            np.concatenate([self.seen, other.seen])[order], marks, told,
-        )  # fmt: skip
+            z[order],
+            np.concatenate([self.c_pf, other.c_pf])[order],
+            np.concatenate([self.seen, other.seen])[order],
+            marks,
+            told,
+        )

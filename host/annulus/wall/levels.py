@@ -172,10 +172,14 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
         Measure("height_percent", 50.0 * (1.0 - level / bottom), 100.0 * error / bottom),
     )
     feature = Feature(
-        told or FeatureKind.DEPOSIT, (first + last) / 2, last - first, clock % 360.0,
-        2.0 * float(_half_deg(np.array([level]), np.array([bottom]))[0]), measures,
+        told or FeatureKind.DEPOSIT,
+        (first + last) / 2,
+        last - first,
+        clock % 360.0,
+        2.0 * float(_half_deg(np.array([level]), np.array([bottom]))[0]),
+        measures,
         remark if told else f"{remark}; water or deposit not told",
-    )  # fmt: skip
+    )
     return Level(feature, z_mm, half, reach)
 
 

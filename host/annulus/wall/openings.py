@@ -254,11 +254,13 @@ def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | N
             v: FloatArray, ends: FloatArray = ends, x: FloatArray = across, z: FloatArray = along, each: float = each
         ) -> FloatArray:
             at = np.maximum(np.abs(ends[:, 1] - v[0]) + v[3], 0.0)
-            return np.concatenate([
-                (np.hypot(ends[:, 0] - v[1], at) - v[2]) / (EDGE * size),
-                (np.hypot(x - v[1], z - v[0]) - v[2]) / each,
-                [v[3] / (SLIT * size)],
-            ])  # fmt: skip
+            return np.concatenate(
+                [
+                    (np.hypot(ends[:, 0] - v[1], at) - v[2]) / (EDGE * size),
+                    (np.hypot(x - v[1], z - v[0]) - v[2]) / each,
+                    [v[3] / (SLIT * size)],
+                ]
+            )
 
         start = np.array([0.0, 0.0, bore.radius_mm, bore.late_mm])
         fit = optimize.least_squares(left, start, loss="soft_l1")
@@ -268,11 +270,16 @@ def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | N
         covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
         rest = np.hypot(across - aside, along - moved) - radius
         bore = replace(
-            bore, clock_deg=(bore.clock_deg + float(np.degrees(np.arcsin(aside / bore.wall_mm)))) % 360.0,
-            z_mm=bore.z_mm + moved, radius_mm=radius, late_mm=late, sigma_mm=float(np.sqrt(covariance[2, 2])),
-            scatter_mm=float(np.sqrt(np.mean(rest**2))) if len(rest) else np.inf, looks=len(np.unique(number)),
+            bore,
+            clock_deg=(bore.clock_deg + float(np.degrees(np.arcsin(aside / bore.wall_mm)))) % 360.0,
+            z_mm=bore.z_mm + moved,
+            radius_mm=radius,
+            late_mm=late,
+            sigma_mm=float(np.sqrt(covariance[2, 2])),
+            scatter_mm=float(np.sqrt(np.mean(rest**2))) if len(rest) else np.inf,
+            looks=len(np.unique(number)),
             arc_deg=float(np.degrees(np.ptp(np.arctan2(across, along)))) if len(across) else 0.0,
-        )  # fmt: skip
+        )
     return bore
 
 

@@ -47,11 +47,7 @@ class Pace:
     """Watches the LED frames on their way to the wall's picture."""
 
     def __init__(
-        self,
-        wall: Wall,
-        centreline: Centreline,
-        calibration: Calibration,
-        profiles: Sequence[Profile],
+        self, wall: Wall, centreline: Centreline, calibration: Calibration, profiles: Sequence[Profile]
     ) -> None:
         self._wall, self._centreline, self._calibration = wall, centreline, calibration
         self._profiles = profiles

@@ -60,9 +60,15 @@ class Profile:
         kept = ~lost
         rejected = {**self.rejected, reason: self.rejected.get(reason, 0) + int(np.count_nonzero(lost))}
         return replace(
-            self, points_mm=self.points_mm[kept], colour=self.colour[kept], ring=self.ring[kept],
-            direction=self.direction[kept], sigma_mm=self.sigma_mm[kept], rejected=rejected, seen_by=self.seen_by[kept],
-        )  # fmt: skip
+            self,
+            points_mm=self.points_mm[kept],
+            colour=self.colour[kept],
+            ring=self.ring[kept],
+            direction=self.direction[kept],
+            sigma_mm=self.sigma_mm[kept],
+            rejected=rejected,
+            seen_by=self.seen_by[kept],
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types and bytes (little-endian, row by row), as msgpack carries them."""

@@ -71,11 +71,21 @@ def cut(survey: Survey, indices: Sequence[int]) -> tuple[Section, ...]:
         mean = float(wall.shape_mm[row, 0])
         out.append(
             Section(
-                index, float(wall.z_mm[row]), float(wall.clock_deg[column]), mean, field[row] + datum, k2[row], datum,
-                wall.z_mm, field[:, column] + along_datum, k2[:, column], along_datum,
-                survey.nominal_diameter_mm / 2 - mean, float(field[row, column]),
+                index,
+                float(wall.z_mm[row]),
+                float(wall.clock_deg[column]),
+                mean,
+                field[row] + datum,
+                k2[row],
+                datum,
+                wall.z_mm,
+                field[:, column] + along_datum,
+                k2[:, column],
+                along_datum,
+                survey.nominal_diameter_mm / 2 - mean,
+                float(field[row, column]),
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
@@ -85,14 +95,23 @@ def _stretch(wall: Wall, rows: slice) -> Wall:
     seen, columns = wall.observations, len(wall.clock_deg)
     mine = (seen.cell >= rows.start * columns) & (seen.cell < rows.stop * columns)
     return Wall(
-        wall.z_mm[rows], wall.clock_deg, wall.radius_mm[rows], wall.count[rows], wall.shape_mm[rows],
-        wall.shape_covariance[rows], wall.noise_mm[rows], wall.cell_noise_mm[rows],
+        wall.z_mm[rows],
+        wall.clock_deg,
+        wall.radius_mm[rows],
+        wall.count[rows],
+        wall.shape_mm[rows],
+        wall.shape_covariance[rows],
+        wall.noise_mm[rows],
+        wall.cell_noise_mm[rows],
         Observations(
-            seen.cell[mine] - rows.start * columns, seen.number[mine], seen.radius_mm[mine], seen.sigma_mm[mine],
+            seen.cell[mine] - rows.start * columns,
+            seen.number[mine],
+            seen.radius_mm[mine],
+            seen.sigma_mm[mine],
             seen.seen_by[mine],
         ),
         wall.sigma_mm[rows],
-    )  # fmt: skip
+    )
 
 
 def _crossing(wall: Wall, defect: Defect, mine: BoolArray, field: FloatArray) -> tuple[int, int] | None:

@@ -114,13 +114,7 @@ def _patches(
 
 
 def _why(
-    mask: BoolArray,
-    kind: Kind,
-    height: Float32Array,
-    wall: Wall,
-    seed: FloatArray,
-    rim: FloatArray,
-    observations: int,
+    mask: BoolArray, kind: Kind, height: Float32Array, wall: Wall, seed: FloatArray, rim: FloatArray, observations: int
 ) -> str:
     if agreeing_observations(mask, kind, wall, rim) < observations:
         return FEW

@@ -44,7 +44,7 @@ def triangulate(wall: Wall, centreline: Centreline | None = None) -> Mesh:
             np.stack([a, c, d], axis=-1)[third],
             np.stack([a, d, b], axis=-1)[fourth],
         ]
-    ).astype(np.int32)  # fmt: skip
+    ).astype(np.int32)
     t = np.radians(wall.clock_deg)
     radius = wall.radius_mm.astype(np.float64)
     z = np.broadcast_to(wall.z_mm[:, None], radius.shape)

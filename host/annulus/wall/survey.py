@@ -277,16 +277,27 @@ def survey(
     explained = of_joints | below | no_wall
     done("features")
     detection = find_defects(
-        wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained,
+        wall,
+        shadow_ratio=1.0 / narrowest,
+        least_shadow_ratio=1.0 / widest,
+        features=explained,
         joints=np.asarray(of_joints.any(axis=1)),
         points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
-    )  # fmt: skip
+    )
     done("defects")
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     unjudged = find_unjudged(
-        wall, detection, explained=explained, joints=np.asarray(of_joints.any(axis=1)), shadowed=dark, no_wall=no_wall,
-        looks=lit[1], rings=len(rises), profiles=aligned, apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
-    )  # fmt: skip
+        wall,
+        detection,
+        explained=explained,
+        joints=np.asarray(of_joints.any(axis=1)),
+        shadowed=dark,
+        no_wall=no_wall,
+        looks=lit[1],
+        rings=len(rises),
+        profiles=aligned,
+        apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
+    )
     done("not judged")
     standing = find_objects(wall, aligned, calibration, lit[1], explained)
     edged = with_edges(measured, wall)
@@ -307,10 +318,24 @@ def survey(
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
-        cloud, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
-        (*axis.findings, *pace.findings()), nominal, timing, tuple(one.id for one in calibration.cameras),
-        no_wall=no_wall, unjudged=unjudged, standing=standing, scale=scale,
-    )  # fmt: skip
+        cloud,
+        wall,
+        dark,
+        detection,
+        stations,
+        texture,
+        shaken,
+        tuple(features),
+        axis.centreline,
+        (*axis.findings, *pace.findings()),
+        nominal,
+        timing,
+        tuple(one.id for one in calibration.cameras),
+        no_wall=no_wall,
+        unjudged=unjudged,
+        standing=standing,
+        scale=scale,
+    )
 
 
 def stations_of(wall: Wall, no_wall: BoolArray | None) -> Stations:

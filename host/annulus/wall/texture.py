@@ -154,9 +154,7 @@ def _look(
     part = points[first:last]
     pixels = pixels_of(part.reshape(-1, 3), centreline, calibration, pose, frame.z_mm, frame.camera)
     height, width = frame.image_bgr.shape[:2]
-    inside = (
-        (pixels[:, 0] >= 1) & (pixels[:, 0] <= width - 2) & (pixels[:, 1] >= 1) & (pixels[:, 1] <= height - 2)
-    )  # fmt: skip
+    inside = (pixels[:, 0] >= 1) & (pixels[:, 0] <= width - 2) & (pixels[:, 1] >= 1) & (pixels[:, 1] <= height - 2)
     if not inside.any():
         return None
     grid = np.where(inside[:, None], pixels, -1.0).astype(np.float32).reshape(*part.shape[:2], 2)

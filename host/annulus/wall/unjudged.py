@@ -81,10 +81,18 @@ class Unjudged:
 
 
 def find_unjudged(
-    wall: Wall, detection: Detection, *, explained: BoolArray, joints: BoolArray, shadowed: BoolArray,
-    no_wall: BoolArray | None, looks: Looks | None, rings: int, apart: Sequence[Apart],
+    wall: Wall,
+    detection: Detection,
+    *,
+    explained: BoolArray,
+    joints: BoolArray,
+    shadowed: BoolArray,
+    no_wall: BoolArray | None,
+    looks: Looks | None,
+    rings: int,
+    apart: Sequence[Apart],
     profiles: Sequence[Profile] = (),
-) -> tuple[Unjudged, ...]:  # fmt: skip
+) -> tuple[Unjudged, ...]:
     """Every such place of a wall, in order of distance.
 
     Parameters
@@ -184,9 +192,13 @@ def _both(was: Unjudged, one: Unjudged) -> Unjudged:
     arc = max(was.arc_deg / 2, aside + one.arc_deg / 2) - low
     clock = (was.clock_deg + low + arc / 2) % 360.0 if arc < 360.0 else 0.0
     return replace(
-        was, z_from_mm=min(was.z_from_mm, one.z_from_mm), z_to_mm=max(was.z_to_mm, one.z_to_mm), clock_deg=clock,
-        arc_deg=min(arc, 360.0), most=max(was.most, one.most),
-    )  # fmt: skip
+        was,
+        z_from_mm=min(was.z_from_mm, one.z_from_mm),
+        z_to_mm=max(was.z_to_mm, one.z_to_mm),
+        clock_deg=clock,
+        arc_deg=min(arc, 360.0),
+        most=max(was.most, one.most),
+    )
 
 
 def _cells(mm: float, size: float) -> int:

@@ -144,8 +144,10 @@ def _observations(profiles: Sequence[Profile], step_mm: float) -> _Observations:
     return _Observations(
         mean((row * PATCHES + clock).astype(float))[enough].astype(np.int64),
         mean(frame.astype(float))[enough].astype(np.int64),
-        mean(radius)[enough], np.stack([mean(column) for column in basis.T], axis=1)[enough], reach,
-    )  # fmt: skip
+        mean(radius)[enough],
+        np.stack([mean(column) for column in basis.T], axis=1)[enough],
+        reach,
+    )
 
 
 def _departures(seen: _Observations, frames: int) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -161,15 +161,21 @@ def between(survey: Survey, window: Window) -> Survey:
     number[[i + 1 for i in kept]] = np.arange(1, len(kept) + 1)
     found = survey.detection
     detection = replace(
-        found, defects=tuple(survey.defects[i] for i in kept), label=number[found.label[a:b]],
+        found,
+        defects=tuple(survey.defects[i] for i in kept),
+        label=number[found.label[a:b]],
         undecided=tuple(one for one in found.undecided if first <= one.z_mm < last),
-    )  # fmt: skip
+    )
     no_wall = None if survey.no_wall is None else survey.no_wall[a:b]
     return replace(
         survey,
         profiles=tuple(one for one in (_of(profile, first, last) for profile in survey.profiles) if one is not None),
-        wall=part, shadowed=survey.shadowed[a:b], detection=detection, stations=stations_of(part, no_wall),
-        texture=None if survey.texture is None else survey.texture[a:b], no_wall=no_wall,
+        wall=part,
+        shadowed=survey.shadowed[a:b],
+        detection=detection,
+        stations=stations_of(part, no_wall),
+        texture=None if survey.texture is None else survey.texture[a:b],
+        no_wall=no_wall,
         features=tuple(one for one in survey.features if _touches(one.z_range_mm, first, last)),
         unjudged=tuple(
             replace(one, z_from_mm=max(one.z_from_mm, first), z_to_mm=min(one.z_to_mm, last))
@@ -177,12 +183,10 @@ def between(survey: Survey, window: Window) -> Survey:
             if one.z_to_mm > first and one.z_from_mm < last
         ),
         # reported once, by the window that it begins in
-        disbelieved=(
-            *survey.disbelieved, *(one.finding for one in survey.standing if first <= one.z_from_mm < last)
-        ),
+        disbelieved=(*survey.disbelieved, *(one.finding for one in survey.standing if first <= one.z_from_mm < last)),
         standing=(),
         rings_lost=lost_rings(survey.profiles),  # of whole frames: at a cut only some of their rings are kept
-    )  # fmt: skip
+    )
 
 
 def _rows(wall: Wall, first_mm: float, last_mm: float) -> tuple[int, int]:
@@ -210,7 +214,12 @@ def _of(profile: Profile, first_mm: float, last_mm: float) -> Profile | None:
     if not own and not inside.any():
         return None
     return replace(
-        profile, points_mm=profile.points_mm[inside], colour=profile.colour[inside], ring=profile.ring[inside],
-        direction=profile.direction[inside], sigma_mm=profile.sigma_mm[inside], seen_by=profile.seen_by[inside],
+        profile,
+        points_mm=profile.points_mm[inside],
+        colour=profile.colour[inside],
+        ring=profile.ring[inside],
+        direction=profile.direction[inside],
+        sigma_mm=profile.sigma_mm[inside],
+        seen_by=profile.seen_by[inside],
         rejected=profile.rejected if own else {},
-    )  # fmt: skip
+    )

@@ -21,9 +21,16 @@ def written(path: Path, frames: int = FRAMES) -> bytes:
     with RecordingWriter(path, calibration=None, configuration={}, now_ns=5_000) as writer:
         for index in range(frames):
             label = {
-                "index": index, "label": "projector", "reason": "", "slot": 0, "z_mm": 2.5 * index,
-                "encoding": "mono8", "width": W, "height": H, "timestamp_ns": 10_000 * index,
-            }  # fmt: skip
+                "index": index,
+                "label": "projector",
+                "reason": "",
+                "slot": 0,
+                "z_mm": 2.5 * index,
+                "encoding": "mono8",
+                "width": W,
+                "height": H,
+                "timestamp_ns": 10_000 * index,
+            }
             writer.frame(label, np.random.default_rng(index).integers(0, 255, (H, W), np.uint8), 10_000 * index)
             writer.flush()
     return path.read_bytes()
@@ -39,9 +46,12 @@ def test_what_lies_behind_the_end_is_damage(tmp_path: Path, what: str) -> None:
     whole = written(tmp_path / "rec.mcap")
     assert run("verify", str(tmp_path / "rec.mcap"))[0] == 0
     behind = {
-        "twice": whole, "junk": b"junk" * 1000, "zeros": bytes(4096), "one byte": b"\n",
+        "twice": whole,
+        "junk": b"junk" * 1000,
+        "zeros": bytes(4096),
+        "one byte": b"\n",
         "another": written(tmp_path / "other.mcap", 40),
-    }[what]  # fmt: skip
+    }[what]
     (tmp_path / "both.mcap").write_bytes(whole + behind)
     scan = str(tmp_path / "both.mcap")
     opened = open_recording(scan)

@@ -100,10 +100,12 @@ def test_who_did_what_from_where_and_what_became_of_it_is_written_down(tmp_path:
     log.close()
     lines = [(one.asked["do"], one.name, one.outcome) for one in session.told.commanded_]
     assert lines == [
-        ("command", "Anna", "done"), ("job", "Anna", "done"),
+        ("command", "Anna", "done"),
+        ("job", "Anna", "done"),
         ("zero", "Ben", "Anna commands; take the command to change things yourself"),
-        ("stop", "", "no scan is under way, the head is idle"), ("stop", "Anna", "done"),
-    ]  # fmt: skip
+        ("stop", "", "no scan is under way, the head is idle"),
+        ("stop", "Anna", "done"),
+    ]
     text = (tmp_path / "head.log").read_text()
     assert text.count(" asked ") == 5 and "from 10.0.0.9" in text and "somebody" in text
     for secret in (ANNA["id"], "bens", "Secret Customer"):

@@ -126,11 +126,13 @@ CASES: dict[str, tuple[Callable[[], Head], Callable[[Head], Damage]]] = {
     "two side by side": (lambda: scanned(6, 300), lambda head: lose(5, 6)),
     "a restart of the controller": (lambda: scanned(7, 300), lambda head: lose(at(head, "rebooted"))),
     "two restarts and what is between": (
-        lambda: scanned(7, 300), lambda head: lose(*range(at(head, "rebooted"), at(head, "rebooted", 1) + 1)),
+        lambda: scanned(7, 300),
+        lambda head: lose(*range(at(head, "rebooted"), at(head, "rebooted", 1) + 1)),
     ),
     "a restart of the camera": (lambda: restarted(8, 7_000_000), lambda head: lose(at(head, "restarted"))),
     "a restart of the camera, a frame off": (
-        lambda: restarted(8, 40_000_000), lambda head: lose(at(head, "restarted")),
+        lambda: restarted(8, 40_000_000),
+        lambda head: lose(at(head, "restarted")),
     ),
     "the start": (lambda: scanned(9), lambda head: lose(0)),
     "the start, and the odometer comes later": (lambda: scanned(9, 300, remember=100), lambda head: lose(0, 1)),
@@ -139,7 +141,8 @@ CASES: dict[str, tuple[Callable[[], Head], Callable[[Head], Damage]]] = {
     "rows that are none": (lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: {})),
     "rows that are no rows": (lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: None)),
     "rows of unknown kinds": (
-        lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: {**row, "what": row["what"] + "s"}),
+        lambda: scanned(9),
+        lambda head: garble(at(head, "zero"), lambda row: {**row, "what": row["what"] + "s"}),
     ),
     "rows of texts": (
         lambda: scanned(9),
@@ -152,7 +155,7 @@ CASES: dict[str, tuple[Callable[[], Head], Callable[[Head], Damage]]] = {
     "records in another order": (lambda: scanned(9), lambda head: swapped(at(head, "zero"))),
     "a record that counts from elsewhere": (lambda: scanned(9), lambda head: renumbered(at(head, "zero"), 1 << 40)),
     "a record that counts from the start": (lambda: scanned(9), lambda head: renumbered(at(head, "zero"), 0)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.deep(but=1)

@@ -54,9 +54,12 @@ def test_nor_does_a_queue_that_grows_bit_by_bit_hide_a_cycle(gap: int, by: int, 
     grown = [at + more for at in drip(AT, count, gap) for more in range(by)]
     behind = [sum(k > at for at in grown) for k in range(900)]
     faults = Faults(
-        lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, count=lambda k: None, dropped=lambda k: k in grown,
+        lamp=lamp,
+        preamble=lambda k: k % EVERY < LENGTH,
+        count=lambda k: None,
+        dropped=lambda k: k in grown,
         pictured=lambda k: k - behind[min(k, 899)],
-    )  # fmt: skip
+    )
     assert Bench(faults).run(900).wrong == []
 
 
@@ -64,7 +67,9 @@ def test_nor_does_a_queue_that_grows_bit_by_bit_hide_a_cycle(gap: int, by: int, 
 def test_nor_do_buffers_that_nothing_was_written_into(blank: int) -> None:
     """They are handed over first, and what comes behind them is late from then on."""
     faults = Faults(
-        lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, blank=lambda k: AT <= k < AT + blank,
+        lamp=lamp,
+        preamble=lambda k: k % EVERY < LENGTH,
+        blank=lambda k: AT <= k < AT + blank,
         pictured=lambda k: k - blank * (k >= AT),
-    )  # fmt: skip
+    )
     assert Bench(faults).run(700).wrong == []

@@ -55,7 +55,7 @@ ODD: dict[str, Callable[[Path], object]] = {
         at / "c.json", json.dumps({"format": "annulus-calibration/1", "provenance": {"a": {"utc": "0001-01-01"}}})
     ),
     "lists in lists": lambda at: results(at, "[" * 100_000),
-}  # fmt: skip
+}
 
 
 @pytest.mark.deep(but=2)

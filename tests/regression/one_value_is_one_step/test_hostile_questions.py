@@ -84,7 +84,7 @@ HOSTILE = [
     "SELECT strptime(repeat('x', 500000000), repeat('%Y', 100000))",
     "SELECT " + "+".join(["1"] * 40_000),
     "SELECT " + "(" * 900 + "1" + ")" * 900,
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")

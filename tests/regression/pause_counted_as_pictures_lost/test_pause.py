@@ -83,8 +83,11 @@ def test_a_count_that_leaps_is_held_against_the_clock() -> None:
 
 def test_what_waits_in_a_served_camera_when_it_is_stopped_is_no_frame_of_the_next_stream() -> None:
     hello: dict[str, Any] = {
-        "width": 8, "height": 6, "encoding": "mono8", "timing": {"fps": 3.0, "exposure_us": 1e4, "readout_us": 1e4}
-    }  # fmt: skip
+        "width": 8,
+        "height": 6,
+        "encoding": "mono8",
+        "timing": {"fps": 3.0, "exposure_us": 1e4, "readout_us": 1e4},
+    }
     server = CameraServer(hello, Counter(), number=os.getpid())
     server._listener.setblocking(False)
     done = threading.Event()

@@ -81,7 +81,7 @@ def previews(folder: Path, cameras: int, paused: bool) -> list[int]:
         for camera in range(cameras):
             header = FrameHeader(
                 index, None, index, Label.LED, "", None, None, None, 0.0, "bayer_rggb8", 16, 16, camera=camera
-            )  # fmt: skip
+            )
             job._done_s += PAUSE_S if camera else 0.0  # however long this machine stood still: they came together
             assert job.frame(header, image, None)
             if not paused:

@@ -17,15 +17,7 @@ STATIONS = [4.0 * i for i in range(25) if i % 5 != 4]
 @pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("length", "change"),
-    [
-        (30.0, -6.0),
-        (20.0, 6.0),
-        (6.0, 6.0),
-        (6.0, -12.0),
-        (20.0, -12.0),
-        (40.0, 6.0),
-        (55.0, -6.0),
-    ],
+    [(30.0, -6.0), (20.0, 6.0), (6.0, 6.0), (6.0, -12.0), (20.0, -12.0), (40.0, 6.0), (55.0, -6.0)],
 )
 def test_a_reducer_is_one(length: float, change: float) -> None:
     line = Centreline(

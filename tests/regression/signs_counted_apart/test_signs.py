@@ -28,11 +28,15 @@ def hiccup(signs: str, counted: bool, at: int = AT, ratio: int = 4) -> Faults:
     sign = dict(zip(range(at, at + len(signs)), signs, strict=True))
     late = [sum(sign.get(i, "n") != "n" for i in range(at, k + 1)) for k in range(900)]
     return Faults(
-        lamp=lambda k: lamp(k, ratio), preamble=lambda k: k % EVERY < LENGTH, blank=lambda k: sign.get(k) == "b",
-        torn=lambda k: sign.get(k) == "t", garbage=lambda k: sign.get(k) == "u",
-        dropped=lambda k: sign.get(k) == "s", pictured=lambda k: k - late[min(k, 899)],
+        lamp=lambda k: lamp(k, ratio),
+        preamble=lambda k: k % EVERY < LENGTH,
+        blank=lambda k: sign.get(k) == "b",
+        torn=lambda k: sign.get(k) == "t",
+        garbage=lambda k: sign.get(k) == "u",
+        dropped=lambda k: sign.get(k) == "s",
+        pictured=lambda k: k - late[min(k, 899)],
         count=(lambda k: 1000 + k) if counted else lambda k: None,
-    )  # fmt: skip
+    )
 
 
 def scored(faults: Faults, **options: float) -> Score:
@@ -105,9 +109,12 @@ def test_a_driver_that_gives_a_cycle_of_frames_away_is_not_one_whose_stamps_have
     """Its count goes on, its frames come as much sooner, and its stamps are right."""
     gone = range(AT - 5, AT)
     faults = Faults(
-        lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, kept=lambda k: 5 * (k < AT), dropped=lambda k: k in gone,
+        lamp=lamp,
+        preamble=lambda k: k % EVERY < LENGTH,
+        kept=lambda k: 5 * (k < AT),
+        dropped=lambda k: k in gone,
         count=lambda k: 1000 + k - 5 * (k >= AT),
-    )  # fmt: skip
+    )
     scored(faults)
 
 

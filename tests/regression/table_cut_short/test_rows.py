@@ -31,11 +31,17 @@ TABLES = {  # heading, a row by its number, who reads it
     "results.csv": ("joint,angle_deg,result,note", lambda i: f"a,{i}.5,good,x", read_results),
     "chainage.csv": ("frame,chainage_m", lambda i: f"{i},{i}.5", read_chainage),
     "pulse.csv": ("time_us,amplitude", lambda i: f"{i}.5,1.5", load_transducer),
-    "imu.csv": ("index,dtheta_x_deg,dtheta_y_deg,dtheta_z_deg", lambda i: f"{i},0.5,0.5,0.5",
-                lambda path: read_motion(path.parent, range(12))),
-    "frames.csv": ("index,file,light,z_mm,roll_deg", lambda i: f"{i},0.png,led,{i}.5,0.5",
-                   lambda path: read_table(path.parent)),
-}  # fmt: skip
+    "imu.csv": (
+        "index,dtheta_x_deg,dtheta_y_deg,dtheta_z_deg",
+        lambda i: f"{i},0.5,0.5,0.5",
+        lambda path: read_motion(path.parent, range(12)),
+    ),
+    "frames.csv": (
+        "index,file,light,z_mm,roll_deg",
+        lambda i: f"{i},0.png,led,{i}.5,0.5",
+        lambda path: read_table(path.parent),
+    ),
+}
 ROWS = 12
 
 

@@ -19,10 +19,12 @@ from annulus.vocabulary import AnnulusError
 def head(folder: Path, number: int) -> HeadConfig:
     """Of two that have nothing in common."""
     return HeadConfig(
-        (CameraConfig("remote", f"@camera-{number}-{folder}"),), port=f"socket://localhost:{number}",
-        record_folder=folder / f"scans-{number}", publish=SocketConfig(f"ipc://{folder}/publish-{number}"),
+        (CameraConfig("remote", f"@camera-{number}-{folder}"),),
+        port=f"socket://localhost:{number}",
+        record_folder=folder / f"scans-{number}",
+        publish=SocketConfig(f"ipc://{folder}/publish-{number}"),
         control=SocketConfig(f"tcp://127.0.0.1:{number}"),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("same", ["cameras", "port", "record_folder", "publish", "control"])

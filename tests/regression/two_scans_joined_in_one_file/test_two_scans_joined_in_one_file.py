@@ -26,24 +26,36 @@ ATTACHED = "clock.json", "calibration.json", "configuration.json", "part.json"
 
 def scan(
     path: Path, lamp: str, clock: Clock, indices: Iterable[int], part: Part | None = None, camera: int = 0
-) -> Path:  # fmt: skip
+) -> Path:
     with RecordingWriter(
         path, calibration={"of": lamp}, configuration={}, now_ns=clock.host_ns, clock=clock, part=part
-    ) as writer:  # fmt: skip
+    ) as writer:
         if part is None or part.number == 1:
             writer.note("/identity", {"why": "start", "host_ns": clock.host_ns}, clock.host_ns)
         for n in indices:
             time_ns = clock.host_ns + 40_000_000 * n
-            label = {"index": n, "camera": camera, "label": lamp, "z_mm": 2.0 * n, "timestamp_ns": time_ns,
-                     "encoding": "mono8", "width": SHAPE[1], "height": SHAPE[0]}  # fmt: skip
+            label = {
+                "index": n,
+                "camera": camera,
+                "label": lamp,
+                "z_mm": 2.0 * n,
+                "timestamp_ns": time_ns,
+                "encoding": "mono8",
+                "width": SHAPE[1],
+                "height": SHAPE[0],
+            }
             writer.frame(label, np.full(SHAPE, n, np.uint8), time_ns)
     return path
 
 
 def merged(
-    out: Path, *paths: Path, attached: tuple[str, ...] = ATTACHED, by_time: bool = False,
-    left_out: tuple[str, ...] = (), camera: int = 0,
-) -> Path:  # fmt: skip
+    out: Path,
+    *paths: Path,
+    attached: tuple[str, ...] = ATTACHED,
+    by_time: bool = False,
+    left_out: tuple[str, ...] = (),
+    camera: int = 0,
+) -> Path:
     """As `mcap merge` does it. camera : what all frames but the first file's are of."""
     messages: list[tuple[int, int, Entry]] = []
     attachments = []
@@ -88,15 +100,19 @@ WAYS: dict[str, Merge] = {
         out, a, scan(b.with_name("c.mcap"), "led", CLOCK, range(50, 55)), left_out=("/identity",)
     ),
     "frames of one, labels of the other": lambda out, a, b: merged(
-        out, merged(out.with_name("f.mcap"), a, left_out=("/label",)),
+        out,
+        merged(out.with_name("f.mcap"), a, left_out=("/label",)),
         merged(out.with_name("l.mcap"), b, left_out=("/frame/0", "/identity"), attached=()),
         attached=("clock.json",),
     ),
     "a clock read twice": lambda out, a, b: merged(
-        out, a, scan(b.with_name("c.mcap"), "led", Clock(1_000, 10**18 + 1), range(50, 55)), attached=(),
+        out,
+        a,
+        scan(b.with_name("c.mcap"), "led", Clock(1_000, 10**18 + 1), range(50, 55)),
+        attached=(),
         left_out=("/identity",),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["walked", "a walk that is kept"])

@@ -24,13 +24,19 @@ JSON = (
     b"[NaN]",
 )
 TOML = (
-    b"camera = " + b"[" * 60_000, b"[camera]\nwidth = 0x" + b"f" * 6000, b"[camera]\nwidth = " + b"9" * 5000,
-    b"[camera]\ngain = 1e999", b"a." * 20_000 + b"a = 1", b"[controller]\nport = {a = [1]}",
-)  # fmt: skip
+    b"camera = " + b"[" * 60_000,
+    b"[camera]\nwidth = 0x" + b"f" * 6000,
+    b"[camera]\nwidth = " + b"9" * 5000,
+    b"[camera]\ngain = 1e999",
+    b"a." * 20_000 + b"a = 1",
+    b"[controller]\nport = {a = [1]}",
+)
 
 
-@pytest.mark.parametrize("load, data", [*((load_calibration, d) for d in JSON), *((load_template, d) for d in JSON),
-                                        *((load_config, d) for d in TOML)])  # fmt: skip
+@pytest.mark.parametrize(
+    "load, data",
+    [*((load_calibration, d) for d in JSON), *((load_template, d) for d in JSON), *((load_config, d) for d in TOML)],
+)
 def test_a_file_is_refused_in_one_line(load: Callable[[Path], Any], data: bytes, tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(data)
     with pytest.raises(AnnulusError) as caught:

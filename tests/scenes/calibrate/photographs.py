@@ -93,9 +93,15 @@ def photograph(
 
 
 def poses(
-    camera: Camera, target: DrawnTarget, count: int, *, fill: float = 0.55, off: float = 0.6, tilt_deg: float = 35.0,
+    camera: Camera,
+    target: DrawnTarget,
+    count: int,
+    *,
+    fill: float = 0.55,
+    off: float = 0.6,
+    tilt_deg: float = 35.0,
     seed: int = 0,
-) -> list[tuple[FloatArray, FloatArray]]:  # fmt: skip
+) -> list[tuple[FloatArray, FloatArray]]:
     """Targets in different parts of the image, tilted. `fill`: of the image's height, `off`: how far out middles go."""
     rng = np.random.default_rng(seed)
     out = []

@@ -27,9 +27,16 @@ def cones(theta_deg: tuple[float, ...] = (37.9, 42.4, 47.5, 52.8, 57.7)) -> tupl
 
 
 def pair(
-    camera: Camera, target: DrawnTarget, rings: tuple[Cone, ...], rotation: FloatArray, middle_mm: FloatArray,
-    colours: str = COLOURS, seed: int = 0, blur_px: float = 0.7, noise: float = 1.5,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:  # fmt: skip
+    camera: Camera,
+    target: DrawnTarget,
+    rings: tuple[Cone, ...],
+    rotation: FloatArray,
+    middle_mm: FloatArray,
+    colours: str = COLOURS,
+    seed: int = 0,
+    blur_px: float = 0.7,
+    noise: float = 1.5,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """(H, W, 3) BGR: white light, rings."""
     shift = np.asarray(middle_mm) - rotation @ target.middle_mm
     stripes = np.array([LIGHT[c] for c in colours])

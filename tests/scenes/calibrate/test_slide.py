@@ -9,9 +9,18 @@ from annulus.record.calibration_file import load_calibration
 from annulus.vocabulary import AnnulusError
 
 GIVEN = [
-    "design", "--pipe-mm", "152.4", "--distance-mm", "56", "--sensor-radius-mm", "9", "--glass-mm", "45",
-    "--projector-f-mm", "12",
-]  # fmt: skip
+    "design",
+    "--pipe-mm",
+    "152.4",
+    "--distance-mm",
+    "56",
+    "--sensor-radius-mm",
+    "9",
+    "--glass-mm",
+    "45",
+    "--projector-f-mm",
+    "12",
+]
 
 
 def test_the_slide_is_to_scale_and_the_calibration_loads(tmp_path: Path) -> None:

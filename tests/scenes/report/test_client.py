@@ -52,9 +52,7 @@ def page(pipe: Survey, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, d
     times = ("2026-11-25T06:00:00.000+00:00", "2026-11-25T06:10:00.000+00:00")
     origin = Origin(JobSheet(client="The <i>Works</i>", sdr=11.0), times, {"serial": "E66"}, made, "head-7.json")
     verdict = judge(pipe, Criteria.from_dict(parse_toml(LIMITS)))
-    told = account(
-        origin=origin, verdict=verdict, photographs=(crop(view, image),),
-    )  # fmt: skip
+    told = account(origin=origin, verdict=verdict, photographs=(crop(view, image),))
     summary = write(pipe, told, out)
     return (out / "report.html").read_text("utf-8"), summary, out
 
@@ -89,14 +87,28 @@ def test_what_the_operator_marked_is_on_the_page_the_maps_and_in_the_summary(pip
     words = text(html)
     assert "<script" not in html and "&lt;script&gt;alert(1)" in words and html.count("data:image/jpeg") >= 2
     for told in (
-        "M1 0.130 3:10", "2026-11-25 06:01:02", "M2 0.145 not said ring of rust not recorded", "3 further marks",
-        "M3 not known not said nothing not recorded its photo cannot be read", "M1: photo by the operator.",
-        "M2: LED frame 24 of camera 1, taken there", "where the head stood at that moment",
-    ):  # fmt: skip
+        "M1 0.130 3:10",
+        "2026-11-25 06:01:02",
+        "M2 0.145 not said ring of rust not recorded",
+        "3 further marks",
+        "M3 not known not said nothing not recorded its photo cannot be read",
+        "M1: photo by the operator.",
+        "M2: LED frame 24 of camera 1, taken there",
+        "where the head stood at that moment",
+    ):
         assert told in words, told
     assert html.index('id="defects"') < html.index('id="details"') < html.index('id="observations"')
-    first = {"mark": "M1", "z_mm": 130.0, "clock_deg": 95.0, "clock": "3:10", "text": "<script>alert(1)</script>",
-             "utc": "2026-11-25T06:01:02+00:00", "picture": "photo", "frame": None, "camera": 0}  # fmt: skip
+    first = {
+        "mark": "M1",
+        "z_mm": 130.0,
+        "clock_deg": 95.0,
+        "clock": "3:10",
+        "text": "<script>alert(1)</script>",
+        "utc": "2026-11-25T06:01:02+00:00",
+        "picture": "photo",
+        "frame": None,
+        "camera": 0,
+    }
     assert summary["observations"][0] == first and summary["observations"][2]["z_mm"] is None
     assert summary["marks_left_out"] == 3 and plain["observations"] == []
     assert "Observations" not in text((tmp_path / "plain/report.html").read_text("utf-8"))
@@ -172,9 +184,15 @@ def test_stations_have_the_new_columns_at_the_end(page: tuple[str, dict[str, Any
     with (page[2] / "stations.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[-8:] == [
-        "diameter_x_mm", "diameter_y_mm", "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
-        "diameter_min_k2_mm", "diameter_max_k2_mm",
-    ]  # fmt: skip
+        "diameter_x_mm",
+        "diameter_y_mm",
+        "circumference_mm",
+        "circumference_k2_mm",
+        "area_mm2",
+        "area_k2_mm2",
+        "diameter_min_k2_mm",
+        "diameter_max_k2_mm",
+    ]
     known = [row for row in rows if row["area_mm2"]]
     assert len(known) > 5
     for row in known:

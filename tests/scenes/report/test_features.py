@@ -17,9 +17,12 @@ from annulus.wall.defects import Defect, Kind
 from annulus.wall.features import Feature, FeatureKind, Measure
 
 JOINT = Feature(
-    FeatureKind.JOINT, 120.0, 8.0, remark="butt fusion",
+    FeatureKind.JOINT,
+    120.0,
+    8.0,
+    remark="butt fusion",
     measures=(Measure("height_mm", 3.4, 0.193), Measure("hilo_clock_deg", 90.0), Measure("gap_mm", float("nan"))),
-)  # fmt: skip
+)
 OPENING = Feature(FeatureKind.BRANCH, 150.0, 25.0, 355.0, 20.0, (Measure("inner_d_mm", 25.2, 1.0),))
 BEYOND = Feature(FeatureKind.WATER, 900.0, 50.0, 180.0, 60.0)  # where nothing was scanned
 PLACE = Defect(Kind.LOSS, 140.0, 60.0, 12.0, 20.0, 1.5, 200.0, False, 2.4)
@@ -75,9 +78,7 @@ def test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summar
     gate="tests/scenes/report/test_features.py::test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary"
 )
 def test_every_feature_has_its_row_its_letter_and_its_picture(sound: Survey, tmp_path: Path) -> None:
-    pipe = replace(
-        sound, features=(JOINT, OPENING, BEYOND), detection=replace(sound.detection, undecided=(PLACE,))
-    )  # fmt: skip
+    pipe = replace(sound, features=(JOINT, OPENING, BEYOND), detection=replace(sound.detection, undecided=(PLACE,)))
     summary, page = written(pipe, tmp_path)
     for words in ("butt fusion", "all round", "11:30 to 12:10", "inner diameter", "25.20 ± 1.00 mm", "3.40 ± 0.20 mm"):
         assert words in page, words

@@ -61,9 +61,13 @@ def write_pipes(out: Path) -> None:
     pipe = replace(pipe, features=(JOINT, OPENING), detection=replace(pipe.detection, undecided=(PLACE,)))
     findings = (Finding("dark", "one frame is dark: it says nothing", (7,)),)
     account = Account(
-        LONG, {"projector": 36, "led": 1, "unknown": 2}, {"camera": 3, "frames_unknown": 2}, {}, findings,
+        LONG,
+        {"projector": 36, "led": 1, "unknown": 2},
+        {"camera": 3, "frames_unknown": 2},
+        {},
+        findings,
         verdict=judge(pipe, Criteria.from_dict(tomllib.loads(LIMITS))),
-    )  # fmt: skip
+    )
     write(pipe, account, out / "damaged")
     plain = survey(scan(round_pipe, z_mm=[4.0 * i for i in range(20)]), CALIBRATION)
     assert not plain.defects
@@ -75,10 +79,22 @@ def write_flat(out: Path) -> None:
     height = np.where(x[None] > 55, np.nan, np.hypot(x[None] - 30, y[:, None] - 20) / 10)
     places = np.arange(4.0)
     plate = Plate(
-        x, y, height, np.full_like(height, 0.02), np.full_like(height, 90.0), np.full_like(height, 0.5),
-        np.ones(height.shape, bool), 300.0, {"too little light": 160}, (0, 1, 2, 3), places, 0.01 + 0 * places, places,
-        (), {},
-    )  # fmt: skip
+        x,
+        y,
+        height,
+        np.full_like(height, 0.02),
+        np.full_like(height, 90.0),
+        np.full_like(height, 0.5),
+        np.ones(height.shape, bool),
+        300.0,
+        {"too little light": 160},
+        (0, 1, 2, 3),
+        places,
+        0.01 + 0 * places,
+        places,
+        (),
+        {},
+    )
     write_plate(plate, Account("a plate", {"projector": 4}, {}, {}), out / "plate")
 
 
@@ -86,14 +102,27 @@ def write_joint(folder: Path) -> None:
     folder.mkdir(parents=True)
     spread = {"median": 10.0, "least": 9.0, "greatest": 11.0}
     summary = {
-        "outer_diameter_mm": 110.0, "wall_mm": spread, "ovality_percent": 0.4, "T_mm": spread, "T_sigma_mm": 0.03,
-        "W_mm": spread, "W_sigma_mm": 0.04, "zone_density_percent": spread, "angles_without_zone": 3,
+        "outer_diameter_mm": 110.0,
+        "wall_mm": spread,
+        "ovality_percent": 0.4,
+        "T_mm": spread,
+        "T_sigma_mm": 0.03,
+        "W_mm": spread,
+        "W_sigma_mm": 0.04,
+        "zone_density_percent": spread,
+        "angles_without_zone": 3,
         "hilo_mm": {"greatest_outside": -0.5, "at_deg": 90.0, "sigma": 0.02, "axes_aside": 0.25},
-    }  # fmt: skip
+    }
     flaw = {
-        "kind": "void", "phi_deg": 12.0, "rho": 50.0, "from_joint_mm": -0.5, "arc_deg": 3.0, "length_mm": 1.5,
-        "depth_mm": 2.0, "snr": 9.0,
-    }  # fmt: skip
+        "kind": "void",
+        "phi_deg": 12.0,
+        "rho": 50.0,
+        "from_joint_mm": -0.5,
+        "arc_deg": 3.0,
+        "length_mm": 1.5,
+        "depth_mm": 2.0,
+        "snr": 9.0,
+    }
     (folder / "features.json").write_text(json.dumps({"summary": summary, "found": [flaw]}))
     picture = cv2.imencode(".png", np.full((300, 1350, 3), 200, np.uint8))[1].tobytes()
     for name in ("density.png", "beads.png", "features.png"):

@@ -92,8 +92,12 @@ def test_stations_carry_units_and_the_named_ovality(written: tuple[Path, Survey,
     with (written[0] / "stations.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:5] == [
-        "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-    ]  # fmt: skip
+        "z_mm",
+        "diameter_min_mm",
+        "diameter_max_mm",
+        "diameter_mean_mm",
+        "ovality_f1216_percent",
+    ]
     full = [row for row in rows if row["diameter_mean_mm"]]
     assert len(full) > 15
     for row in full:

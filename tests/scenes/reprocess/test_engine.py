@@ -124,9 +124,13 @@ def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
     shown = code.replace("plt.show()", "print(plt.gca().images[0].get_array().count())")
     for text in (code, shown):
         done = subprocess.run(
-            [sys.executable, "-c", text], cwd=folder, capture_output=True, text=True, timeout=240,
+            [sys.executable, "-c", text],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=240,
             env={**os.environ, "MPLBACKEND": "agg"},
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stderr
         assert [path.name for path in folder.iterdir()] == ["scan.mcap"], "no file written"
     line, cells = done.stdout.splitlines()

@@ -197,9 +197,14 @@ def _pipe(rng: np.random.Generator, scene: Scene) -> _Pipe:
         elif kind == "gone":
             growth = -depth
         one = Defect(
-            rng.uniform(300, scene.length_mm - 300), rng.uniform(0, 360), rng.uniform(18, 80), rng.uniform(9, 40),
-            depth, growth, float(rng.choice(scene.exponents)),
-        )  # fmt: skip
+            rng.uniform(300, scene.length_mm - 300),
+            rng.uniform(0, 360),
+            rng.uniform(18, 80),
+            rng.uniform(9, 40),
+            depth,
+            growth,
+            float(rng.choice(scene.exponents)),
+        )
         if scene.crowded or all(abs(one.z_mm - other.z_mm) > 90 or _apart(one, other) > 50 for other in defects):
             defects.append(one)
     return _Pipe(texture, oval, joints, rng.uniform(1.0, 2.0, len(joints)), tuple(defects), begin, scene.oval_growth)
@@ -210,9 +215,16 @@ def _apart(one: Defect, other: Defect) -> float:
 
 
 def _surveyed(
-    rng: np.random.Generator, scene: Scene, wall: _Pipe, z: FloatArray, roll: FloatArray, year: int, step: float,
-    columns: int, radius: float,
-) -> WallMap:  # fmt: skip
+    rng: np.random.Generator,
+    scene: Scene,
+    wall: _Pipe,
+    z: FloatArray,
+    roll: FloatArray,
+    year: int,
+    step: float,
+    columns: int,
+    radius: float,
+) -> WallMap:
     own = np.arange(columns) * 360.0 / columns
     out = wall.deviation(z[:, None], own[None] + roll[:, None], year) + scene.radius_mm - radius
     travelled = np.arange(len(z)) * step

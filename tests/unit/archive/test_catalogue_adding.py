@@ -142,7 +142,7 @@ def rewritten(folder: Path, name: str, text: str) -> Path:
         (lambda f: broken(f, source="x" * 3000), "source"),
         (lambda f: broken(f, origin={"calibration": {str(i): {"a": "b" * 900} for i in range(30)}}), "characters"),
     ],
-)  # fmt: skip
+)
 def test_one_line_for_wrong_results_and_the_others_are_added(tmp_path: Path, make: Any, told: str) -> None:
     bad, (good,) = make(tmp_path / "bad"), season(tmp_path, 1)
     refused, added = add(tmp_path / "archive", [bad, good])

@@ -43,8 +43,15 @@ def stations_of(folder: Path) -> dict[str, np.ndarray]:
 @pytest.mark.deep(but=1)
 @pytest.mark.parametrize("table", ["joints", *(name for name in TABLES if name != "joints")])
 def test_every_view_has_the_columns_it_is_said_to_have(archive: Path, table: str) -> None:
-    kinds = {"text": "VARCHAR", "number": "DOUBLE", "whole": "BIGINT", "yes": "BOOLEAN", "date": "DATE",
-             "time": "TIMESTAMP", "measures": "MAP(VARCHAR, DOUBLE)"}  # fmt: skip
+    kinds = {
+        "text": "VARCHAR",
+        "number": "DOUBLE",
+        "whole": "BIGINT",
+        "yes": "BOOLEAN",
+        "date": "DATE",
+        "time": "TIMESTAMP",
+        "measures": "MAP(VARCHAR, DOUBLE)",
+    }
     with open_catalogue(archive) as catalogue:
         told = {row[0]: row[1] for row in ask(catalogue, f"DESCRIBE {table}")}
         columns = TABLES.get(table, ())
@@ -135,7 +142,7 @@ def test_year_on_year_holds_each_station_against_the_nearest_of_the_year_before(
         ("SELECT " + "(" * 5000 + "1" + ")" * 5000, "query: "),
         ("SELECT '\udc80'", "query: "),
     ],
-)  # fmt: skip
+)
 def test_a_question_reads_the_catalogue_and_does_nothing_else(archive: Path, sql: str, told: str) -> None:
     file = next((archive / "surveys").glob("*/stations.parquet"))
     before = file.read_bytes()

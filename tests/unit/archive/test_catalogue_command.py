@@ -68,8 +68,12 @@ def test_answers_in_every_form_are_the_same(archive: Path, tmp_path: Path) -> No
     ask = ["SELECT pipe, date, z_mm, NULL AS nothing, 1.0 / 0 AS much FROM stations ORDER BY ALL", "-a", str(archive)]
     told = json.loads(run("query", *ask, "--json").stdout)
     assert len(told) == 15 and told[0] | {"pipe": ""} == {
-        "pipe": "", "date": "2026-05-04", "z_mm": 0.0, "nothing": None, "much": None,
-    }  # fmt: skip
+        "pipe": "",
+        "date": "2026-05-04",
+        "z_mm": 0.0,
+        "nothing": None,
+        "much": None,
+    }
     table = list(csv.DictReader(io.StringIO(run("query", *ask, "--csv").stdout)))
     assert {row["pipe"] for row in table} == {"P-1", "'=HYPERLINK(1)", "[bold]P[/bold]\\"}
     assert [float(row["z_mm"]) for row in table] == [row["z_mm"] for row in told]

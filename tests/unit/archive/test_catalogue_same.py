@@ -32,26 +32,41 @@ def figure(low: float = -1e6, high: float = 1e6) -> st.SearchStrategy[float]:
 places = st.lists(
     st.fixed_dictionaries(
         {
-            "kind": texts(), "z_mm": figure(), "length_mm": figure(0), "clock_deg": figure(0, 360),
+            "kind": texts(),
+            "z_mm": figure(),
+            "length_mm": figure(0),
+            "clock_deg": figure(0, 360),
             "arc_deg": figure(0, 360),
         },
         optional={
-            "depth_mm": figure(0) | st.none(), "depth_k2_mm": figure(0), "area_mm2": figure(0), "hidden_mm": figure(0),
-            "floor_seen": st.booleans(), "severity": texts() | st.integers(0, 9), "decision": texts(),
-            "remark": texts(), "hilo_mm": figure(), "hilo_k2_mm": figure(0), "angle_deg": figure(),
+            "depth_mm": figure(0) | st.none(),
+            "depth_k2_mm": figure(0),
+            "area_mm2": figure(0),
+            "hidden_mm": figure(0),
+            "floor_seen": st.booleans(),
+            "severity": texts() | st.integers(0, 9),
+            "decision": texts(),
+            "remark": texts(),
+            "hilo_mm": figure(),
+            "hilo_k2_mm": figure(0),
+            "angle_deg": figure(),
         },
     ),
     max_size=4,
-)  # fmt: skip
+)
 moments = st.datetimes(datetime(1970, 1, 1), datetime(2100, 1, 1)).map(str) | st.none()
 summaries = st.fixed_dictionaries(
     {
         "job": st.dictionaries(st.sampled_from(["pipe", "site", "client", "operator", "remarks"]), texts()),
         "origin": st.fixed_dictionaries({"begun_utc": moments, "ended_utc": moments}),
-        "created": moments, "defects": places, "undecided": places, "features": places,
-        "points": st.integers(0, 10**12), "seen_percent": figure(0, 100) | st.none(),
+        "created": moments,
+        "defects": places,
+        "undecided": places,
+        "features": places,
+        "points": st.integers(0, 10**12),
+        "seen_percent": figure(0, 100) | st.none(),
     }
-)  # fmt: skip
+)
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

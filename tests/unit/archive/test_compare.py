@@ -175,9 +175,12 @@ def test_the_command_writes_json_a_page_and_says_what_grew(tmp_path: Path) -> No
         files.append(tmp_path / f"{wall.name}.npz")
         away = np.where(np.isfinite(wall.deviation_mm), np.rint(1000 * wall.deviation_mm), -32768).astype(np.int16)
         np.savez(
-            files[-1], deviation_um=away, z_step_mm=wall.step_mm, radius_mm=wall.radius_mm,
+            files[-1],
+            deviation_um=away,
+            z_step_mm=wall.step_mm,
+            radius_mm=wall.radius_mm,
             imu_roll_deg=wall.imu_roll_deg,
-        )  # fmt: skip
+        )
     out, page = tmp_path / "growth.json", tmp_path / "growth.html"
     ran = CliRunner().invoke(
         app, ["archive", "compare", *map(str, files), "-o", str(out), "--page", str(page), "--json"]

@@ -24,12 +24,24 @@ def folder(out: Path, pair: Pair, year: int) -> Path:
     wall = (pair.first, pair.second)[year]
     away = np.where(np.isfinite(wall.deviation_mm), np.rint(1000 * wall.deviation_mm), -32768).astype(np.int16)
     np.savez(
-        out / "wall.npz", deviation_um=away, z_step_mm=wall.step_mm, radius_mm=wall.radius_mm,
+        out / "wall.npz",
+        deviation_um=away,
+        z_step_mm=wall.step_mm,
+        radius_mm=wall.radius_mm,
         imu_roll_deg=wall.imu_roll_deg,
-    )  # fmt: skip
+    )
     listed = [listed_of(pair, one, year) for one in pair.defects if abs(one.depth_mm + year * one.growth_mm) > 0.1]
-    listed.append({"kind": "ovality", "z_mm": 1500.0, "length_mm": 400.0, "clock_deg": 20.0, "arc_deg": 360.0,
-                   "depth_mm": 1.0, "depth_k2_mm": 0.1})  # fmt: skip
+    listed.append(
+        {
+            "kind": "ovality",
+            "z_mm": 1500.0,
+            "length_mm": 400.0,
+            "clock_deg": 20.0,
+            "arc_deg": 360.0,
+            "depth_mm": 1.0,
+            "depth_k2_mm": 0.1,
+        }
+    )
     (out / "summary.json").write_text(json.dumps({"format": "annulus-summary/1", "defects": listed}))
     return out
 
@@ -38,10 +50,13 @@ def listed_of(pair: Pair, one: Any, year: int) -> dict[str, Any]:
     row = int(np.argmin(np.abs(pair.z_of_second - one.z_mm)))
     depth = one.depth_mm + year * one.growth_mm
     return {
-        "kind": "loss" if depth > 0 else "bump", "depth_mm": abs(depth), "length_mm": one.length_mm,
-        "arc_deg": one.arc_deg, "z_mm": one.z_mm if year == 0 else 4.0 * row,
+        "kind": "loss" if depth > 0 else "bump",
+        "depth_mm": abs(depth),
+        "length_mm": one.length_mm,
+        "arc_deg": one.arc_deg,
+        "z_mm": one.z_mm if year == 0 else 4.0 * row,
         "clock_deg": (one.clock_deg if year == 0 else one.clock_deg - pair.roll_of_second[row]) % 360,
-    }  # fmt: skip
+    }
 
 
 def test_every_listed_defect_comes_out_once_with_its_growth(tmp_path: Path) -> None:

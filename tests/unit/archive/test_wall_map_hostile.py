@@ -17,10 +17,15 @@ from annulus.vocabulary import AnnulusError
 
 ROWS, COLUMNS = 20, 24
 WHOLE: dict[str, Any] = {
-    "format": "annulus-wall/1", "deviation_um": np.arange(ROWS * COLUMNS, dtype=np.int16).reshape(ROWS, COLUMNS),
-    "shadowed": np.zeros((ROWS, COLUMNS), bool), "z_step_mm": 4.0, "radius_mm": 76.2, "z_mm": 4.0 * np.arange(ROWS),
-    "clock_deg": 15.0 * np.arange(COLUMNS), "imu_roll_deg": np.zeros(ROWS, np.float32),
-}  # fmt: skip
+    "format": "annulus-wall/1",
+    "deviation_um": np.arange(ROWS * COLUMNS, dtype=np.int16).reshape(ROWS, COLUMNS),
+    "shadowed": np.zeros((ROWS, COLUMNS), bool),
+    "z_step_mm": 4.0,
+    "radius_mm": 76.2,
+    "z_mm": 4.0 * np.arange(ROWS),
+    "clock_deg": 15.0 * np.arange(COLUMNS),
+    "imu_roll_deg": np.zeros(ROWS, np.float32),
+}
 TYPES = ("i1", "i2", ">i2", "u2", "i8", "f2", "f4", ">f8", "g", "c16", "?", "S3", "U3", "O", "M8[s]", "V4", "i4,f8")
 SHAPES = ((), (0,), (ROWS,), (COLUMNS,), (ROWS, COLUMNS), (COLUMNS, ROWS), (1, ROWS, COLUMNS), (ROWS, 0), (1,) * 32)
 NUMBERS = (0, 1, -1, 4.0, 76.2, 1e8, -1e300, 1e300, np.nan, np.inf, -np.inf)

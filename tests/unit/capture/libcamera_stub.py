@@ -122,9 +122,10 @@ class FrameBuffer:
     def __init__(self, planes: list[Plane]) -> None:
         self.planes = planes
         self.metadata = types.SimpleNamespace(
-            status=FrameMetadata.Status.Success, sequence=0,
+            status=FrameMetadata.Status.Success,
+            sequence=0,
             planes=[types.SimpleNamespace(bytes_used=plane.length) for plane in planes],
-        )  # fmt: skip
+        )
 
 
 class Stream:
@@ -194,8 +195,19 @@ class Limits:
         self.min, self.max, self.default = least, most, default
 
 
-CONTROLS = ("AeEnable", "FrameDurationLimits", "ExposureTime", "AnalogueGain", "AwbEnable", "ColourGains",
-            "NoiseReductionMode", "Sharpness", "Contrast", "Saturation", "Brightness")  # fmt: skip
+CONTROLS = (
+    "AeEnable",
+    "FrameDurationLimits",
+    "ExposureTime",
+    "AnalogueGain",
+    "AwbEnable",
+    "ColourGains",
+    "NoiseReductionMode",
+    "Sharpness",
+    "Contrast",
+    "Saturation",
+    "Brightness",
+)
 IDS = {
     name: Id(name) for name in (*CONTROLS, "FrameDuration", "SensorTimestamp", "ExposureTimeMode", "AnalogueGainMode")
 }
@@ -325,8 +337,21 @@ def install(modes: list[tuple[str, tuple[int, int]]]) -> Sensor:
     """As `libcamera`, with empty stand-ins for what Picamera2 imports and this use never calls."""
     sensor = Sensor(modes)
     module = types.ModuleType("libcamera")
-    for thing in (Transform, ColorSpace, Size, Rectangle, PixelFormat, Orientation, ControlType, StreamRole,
-                  SensorConfiguration, FrameMetadata, FrameBuffer, CameraConfiguration, Request):  # fmt: skip
+    for thing in (
+        Transform,
+        ColorSpace,
+        Size,
+        Rectangle,
+        PixelFormat,
+        Orientation,
+        ControlType,
+        StreamRole,
+        SensorConfiguration,
+        FrameMetadata,
+        FrameBuffer,
+        CameraConfiguration,
+        Request,
+    ):
         setattr(module, thing.__name__, thing)
     noise = types.SimpleNamespace(Off=0, Fast=1, HighQuality=2, Minimal=3)
     module.controls = types.SimpleNamespace(**IDS, draft=types.SimpleNamespace(NoiseReductionModeEnum=noise))  # type: ignore[attr-defined]

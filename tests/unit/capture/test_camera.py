@@ -5,12 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.camera import (
-    BGR8,
-    HeldRequest,
-    OneRequest,
-    grab,
-)
+from annulus.capture.camera import BGR8, HeldRequest, OneRequest, grab
 from annulus.vocabulary import AnnulusError
 
 

@@ -11,17 +11,7 @@ from annulus.capture.pairing import Pairing
 from annulus.capture.photometry import Light, Photometry
 from annulus.capture.proof import Reason, State, Witness
 from annulus.capture.seen import FrameSeen
-from annulus.vocabulary import (
-    AnnulusError,
-    CameraSequence,
-    EdgeFlag,
-    EdgeIndex,
-    Flash,
-    Label,
-    Lamp,
-    Slot,
-    Tick,
-)
+from annulus.vocabulary import AnnulusError, CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
 PERIOD = 40 * MS

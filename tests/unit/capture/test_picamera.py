@@ -59,9 +59,15 @@ def configured(
     theirs: Any, stream: str = "raw", size: tuple[int, int] = SIZE, gain: float = 2.0, crop: Any = None
 ) -> Any:
     return configure(
-        theirs, size, stream=stream, fps=25.0, exposure_us=38_000.0, gain=gain, colour_gains=(1.9, 1.6),
+        theirs,
+        size,
+        stream=stream,
+        fps=25.0,
+        exposure_us=38_000.0,
+        gain=gain,
+        colour_gains=(1.9, 1.6),
         sensor_crop=crop,
-    )  # fmt: skip
+    )
 
 
 def exposed(sensor: libcamera_stub.Sensor, frames: int) -> None:

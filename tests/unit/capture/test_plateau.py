@@ -29,9 +29,12 @@ def stepped(width: float) -> list[float]:
 
 @settings(deadline=None, max_examples=5)
 @given(
-    st.floats(21_000.0, 29_000.0), st.floats(36_000.0, 39_000.0), st.floats(500.0, 4000.0), st.integers(0, 99),
+    st.floats(21_000.0, 29_000.0),
+    st.floats(36_000.0, 39_000.0),
+    st.floats(500.0, 4000.0),
+    st.integers(0, 99),
     st.floats(0.0, 16_000.0),
-)  # fmt: skip
+)
 def test_edges_are_found_and_what_is_proposed_does_not_band(
     readout: float, exposure: float, width: float, seed: int, delay: float
 ) -> None:
@@ -61,9 +64,12 @@ def test_what_says_nothing_is_refused_in_a_line() -> None:
     moved = [*good, Reading(good[5].delay_us, 2000.0, good[5].light * 0.8)]
     flicker = [Reading(one.delay_us, 2000.0, one.light * (0.5 + n % 2)) for n, one in enumerate(good)]
     for readings, why in (
-        (dark, "dark whatever the delay"), (bright, "saturated"), (moved, "the scene changed"),
-        (flicker, "does not follow the delay"), (good[:3], "at least 6"),
-    ):  # fmt: skip
+        (dark, "dark whatever the delay"),
+        (bright, "saturated"),
+        (moved, "the scene changed"),
+        (flicker, "does not follow the delay"),
+        (good[:3], "at least 6"),
+    ):
         with pytest.raises(AnnulusError, match=why) as told:
             find(readings, TOLD, 4000.0, 2000.0, HEIGHT)
         assert "\n" not in str(told.value)

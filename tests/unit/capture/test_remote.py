@@ -16,10 +16,7 @@ from annulus.capture.camera import BGR8, MONO8, grab, plug
 from annulus.capture.remote import RemoteCamera
 from annulus.vocabulary import AnnulusError
 
-HELLO = {
-    "width": 8, "height": 4, "encoding": MONO8,
-    "timing": {"fps": 25.0, "exposure_us": 38e3, "readout_us": 28e3},
-}  # fmt: skip
+HELLO = {"width": 8, "height": 4, "encoding": MONO8, "timing": {"fps": 25.0, "exposure_us": 38e3, "readout_us": 28e3}}
 
 
 @contextmanager

@@ -40,8 +40,12 @@ class Driver:
         os.truncate(self.fd, v4l2.BUFFERS * PAGE)
         self.queued: list[int] = []
         self.interval = (1, 30)
-        self.values = {videodev.CID_EXPOSURE_ABSOLUTE: 5, videodev.CID_EXPOSURE_AUTO: 3,
-                       videodev.CID_EXPOSURE_AUTO_PRIORITY: 1, videodev.CID_AUTOGAIN: 1}  # fmt: skip
+        self.values = {
+            videodev.CID_EXPOSURE_ABSOLUTE: 5,
+            videodev.CID_EXPOSURE_AUTO: 3,
+            videodev.CID_EXPOSURE_AUTO_PRIORITY: 1,
+            videodev.CID_AUTOGAIN: 1,
+        }
         self.sequence, self.step, self.period_ns = 7, 1, 40_000_000
         self.stamped_ahead_ns = 0
         self.flags = videodev.BUF_FLAG_TIMESTAMP_MONOTONIC
@@ -219,9 +223,11 @@ def test_everything_automatic_is_turned_off_and_what_is_not_done_is_said(started
     camera, driver = started()
     camera.set_controls({"AeEnable": False, "ExposureTime": 20_000})
     assert driver.values == {
-        videodev.CID_EXPOSURE_ABSOLUTE: 200, videodev.CID_EXPOSURE_AUTO: videodev.EXPOSURE_MANUAL,
-        videodev.CID_EXPOSURE_AUTO_PRIORITY: 0, videodev.CID_AUTOGAIN: 0,
-    }  # fmt: skip
+        videodev.CID_EXPOSURE_ABSOLUTE: 200,
+        videodev.CID_EXPOSURE_AUTO: videodev.EXPOSURE_MANUAL,
+        videodev.CID_EXPOSURE_AUTO_PRIORITY: 0,
+        videodev.CID_AUTOGAIN: 0,
+    }
     with pytest.raises(v4l2.NoSuchControl, match="has no AnalogueGain to set"):
         camera.set_controls({"AnalogueGain": 2.0})
     driver.set = lambda id, value: min(value, 333)  # type: ignore[method-assign]

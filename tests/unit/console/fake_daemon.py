@@ -61,13 +61,21 @@ def profile(index: int, z_mm: float) -> dict[str, Any]:
     points = np.stack([radius * np.sin(phi), -radius * np.cos(phi), z], axis=1).astype("<f4")
     count = len(points)
     return {
-        "frame": index, "camera": 0, "z_mm": z_mm, "pose": [0.0, 0.0, 0.0, 0.0], "points": points.tobytes(),
+        "frame": index,
+        "camera": 0,
+        "z_mm": z_mm,
+        "pose": [0.0, 0.0, 0.0, 0.0],
+        "points": points.tobytes(),
         "colour": np.full((count, 3), 180, np.uint8).tobytes(),
         "ring": np.repeat(np.arange(RINGS, dtype=np.uint8), DIRECTIONS).tobytes(),
         "direction": np.tile(np.arange(DIRECTIONS, dtype="<u2"), RINGS).tobytes(),
-        "sigma": np.full(count, 0.05, "<f4").tobytes(), "ring_sigma": b"", "residual_mm": 0.05,
-        "lean_sigma_deg": 0.1, "rejected": {}, "timing_ms": {"total": 9.0},
-    }  # fmt: skip
+        "sigma": np.full(count, 0.05, "<f4").tobytes(),
+        "ring_sigma": b"",
+        "residual_mm": 0.05,
+        "lean_sigma_deg": 0.1,
+        "rejected": {},
+        "timing_ms": {"total": 9.0},
+    }
 
 
 def radius_at(z_mm: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -107,9 +115,12 @@ class FakeDaemon:
         self.command: tuple[str, str, float, float] | None = None  # id, name, since, until
         self.job: dict[str, Any] = {}
         self.lamps = {
-            "ratio": RATIO, "projector_delay_us": 3000.0, "projector_width_us": 5000.0, "led_delay_us": 3000.0,
+            "ratio": RATIO,
+            "projector_delay_us": 3000.0,
+            "projector_width_us": 5000.0,
+            "led_delay_us": 3000.0,
             "led_width_us": 2500.0,
-        }  # fmt: skip
+        }
         self.silent = False  # says and answers nothing, as one that hangs
         self.extra: deque[tuple[str, Any, bytes]] = deque()  # to be published next
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -189,35 +200,68 @@ class FakeDaemon:
             self.say("state", {"state": self.state, "why": ""})
         by = self.command
         self.say("health", {"health": "ok", "why": ""})
-        self.say("telemetry", {
-            "state": self.state, "seconds": self.index / self.fps, "scan": self.scan, "profiles": self.index * 4 // 5,
-            "frames": {"projector": self.index * 4 // 5, "led": self.index // 5, "unknown": 3},
-            "unknown": {"edges were lost": 2, "picture unclear": 1}, "drops": {"worker_busy": 2},
-            "disk": {"free_gb": 120.0, "mb_per_s": 22.0, "minutes_left": 91.0},
-            "command": None if by is None else {"name": by[1], "since_s": now - by[2]},
-            "trial": None if self.trial_until is None else max(0.0, self.trial_until - now),
-            "paused": self.state == "paused", "lamps": self.lamps, "job": self.job, "interlock": "closed",
-            "recording": "/scans/20261125.mcap" if self.state in ("scanning", "paused") else "", "turn_ms": 3.0,
-        })  # fmt: skip
-        self.say("sensor/odometer", {
-            "sensor": "odometer", "host_ns": time.monotonic_ns(), "values": [self.z_mm * 20, self.z_mm],
-            "units": ["counts", "mm"],
-        })  # fmt: skip
-        self.say("sensor/supply", {
-            "sensor": "supply", "host_ns": time.monotonic_ns(),
-            "values": {"volts": 5.02, "amperes": 1.2, "celsius": 41.0},
-            "units": {"volts": "V", "amperes": "A", "celsius": "degC"},
-        })  # fmt: skip
+        self.say(
+            "telemetry",
+            {
+                "state": self.state,
+                "seconds": self.index / self.fps,
+                "scan": self.scan,
+                "profiles": self.index * 4 // 5,
+                "frames": {"projector": self.index * 4 // 5, "led": self.index // 5, "unknown": 3},
+                "unknown": {"edges were lost": 2, "picture unclear": 1},
+                "drops": {"worker_busy": 2},
+                "disk": {"free_gb": 120.0, "mb_per_s": 22.0, "minutes_left": 91.0},
+                "command": None if by is None else {"name": by[1], "since_s": now - by[2]},
+                "trial": None if self.trial_until is None else max(0.0, self.trial_until - now),
+                "paused": self.state == "paused",
+                "lamps": self.lamps,
+                "job": self.job,
+                "interlock": "closed",
+                "recording": "/scans/20261125.mcap" if self.state in ("scanning", "paused") else "",
+                "turn_ms": 3.0,
+            },
+        )
+        self.say(
+            "sensor/odometer",
+            {
+                "sensor": "odometer",
+                "host_ns": time.monotonic_ns(),
+                "values": [self.z_mm * 20, self.z_mm],
+                "units": ["counts", "mm"],
+            },
+        )
+        self.say(
+            "sensor/supply",
+            {
+                "sensor": "supply",
+                "host_ns": time.monotonic_ns(),
+                "values": {"volts": 5.02, "amperes": 1.2, "celsius": 41.0},
+                "units": {"volts": "V", "amperes": "A", "celsius": "degC"},
+            },
+        )
 
     def _header(self) -> dict[str, Any]:
         slot = self.index % (RATIO + 1)
         return {
-            "index": self.index, "sequence": self.index, "timestamp_ns": time.monotonic_ns(), "camera": 0,
-            "label": "led" if slot == RATIO else "projector", "reason": "", "edge": self.index, "slot": slot,
-            "odometer": int(self.z_mm * 20), "z_mm": self.z_mm, "roll_deg": 0.5, "encoding": "bayer_rggb8",
-            "width": 2 * WIDTH, "height": 2 * HEIGHT, "arrived_ns": time.monotonic_ns(), "z_assumed": False,
-            "z_bound_mm": 0.0, "segment": 0,
-        }  # fmt: skip
+            "index": self.index,
+            "sequence": self.index,
+            "timestamp_ns": time.monotonic_ns(),
+            "camera": 0,
+            "label": "led" if slot == RATIO else "projector",
+            "reason": "",
+            "edge": self.index,
+            "slot": slot,
+            "odometer": int(self.z_mm * 20),
+            "z_mm": self.z_mm,
+            "roll_deg": 0.5,
+            "encoding": "bayer_rggb8",
+            "width": 2 * WIDTH,
+            "height": 2 * HEIGHT,
+            "arrived_ns": time.monotonic_ns(),
+            "z_assumed": False,
+            "z_bound_mm": 0.0,
+            "segment": 0,
+        }
 
     def _frame(self) -> None:
         header = self._header()
@@ -246,32 +290,51 @@ class FakeDaemon:
             for begin, rows in ((first, last - first), (0, min(40, last))):
                 if rows > 0:
                     body = {
-                        "scan": self.scan, "of": of, "step_mm": step, "first": begin, "rows": rows, "columns": 360,
+                        "scan": self.scan,
+                        "of": of,
+                        "step_mm": step,
+                        "first": begin,
+                        "rows": rows,
+                        "columns": 360,
                         "radius_mm": RADIUS_MM,
-                    }  # fmt: skip
+                    }
                     self.say("wall", body, wall_rows(begin, rows, step))
 
     def _defects(self) -> None:
         dents = [250.0 + 500.0 * k for k in range(int(self.z_mm // 500))][-500:]
         found = [
             {
-                "id": k, "kind": "dent", "z_mm": z, "clock_deg": 90.0, "clock": "3:00", "depth_mm": 2.0,
-                "depth_k2_mm": 0.2, "floor_seen": True, "length_mm": 48.0, "arc_deg": 24.0,
+                "id": k,
+                "kind": "dent",
+                "z_mm": z,
+                "clock_deg": 90.0,
+                "clock": "3:00",
+                "depth_mm": 2.0,
+                "depth_k2_mm": 0.2,
+                "floor_seen": True,
+                "length_mm": 48.0,
+                "arc_deg": 24.0,
                 "frames": list(range(max(0, self.index - 12), self.index)),
             }
             for k, z in enumerate(dents)
-        ]  # fmt: skip
+        ]
         looked = [max(0.0, self.z_mm - 1500), self.z_mm]
-        self.say("defects", {
-            "scan": self.scan, "looked_mm": looked, "defects": found, "diameter_mm": 2 * RADIUS_MM, "k2_mm": 0.1
-        })  # fmt: skip
+        self.say(
+            "defects",
+            {"scan": self.scan, "looked_mm": looked, "defects": found, "diameter_mm": 2 * RADIUS_MM, "k2_mm": 0.1},
+        )
         for one in found[-1:]:
             section = radius_at(np.full(360, one["z_mm"]), np.radians(np.arange(360) + 0.5)).astype("<f4")
             along = radius_at(one["z_mm"] + np.arange(-60.0, 60.0, 2.0), np.full(60, np.pi / 2)).astype("<f4")
             body = {
-                "scan": self.scan, "id": one["id"], "section_mm": section.tobytes(), "along_mm": along.tobytes(),
-                "along_from_mm": one["z_mm"] - 60.0, "along_step_mm": 2.0, "nominal_mm": RADIUS_MM,
-            }  # fmt: skip
+                "scan": self.scan,
+                "id": one["id"],
+                "section_mm": section.tobytes(),
+                "along_mm": along.tobytes(),
+                "along_from_mm": one["z_mm"] - 60.0,
+                "along_step_mm": 2.0,
+                "nominal_mm": RADIUS_MM,
+            }
             picture = np.full((120, 240, 3), 128, np.uint8)
             cv2.circle(picture, (120, 60), 30, (40, 40, 200), -1)
             self.say("closeup", body, cv2.imencode(".png", picture)[1].tobytes())
@@ -333,10 +396,17 @@ class FakeDaemon:
             if do == "stop":
                 self.say("ended", {"seconds": self.index / self.fps, "recordings": ["/scans/20261125.mcap"]})
         elif do == "mark":
-            self.say("mark", {
-                "host_ns": time.monotonic_ns(), "z_mm": self.z_mm, "text": asked.get("text", ""),
-                "clock_deg": asked.get("clock_deg"), "frame": self.index, "camera": 0,
-            })  # fmt: skip
+            self.say(
+                "mark",
+                {
+                    "host_ns": time.monotonic_ns(),
+                    "z_mm": self.z_mm,
+                    "text": asked.get("text", ""),
+                    "clock_deg": asked.get("clock_deg"),
+                    "frame": self.index,
+                    "camera": 0,
+                },
+            )
         elif do == "zero":
             self.z_mm = 0.0
             self.say("event", {"kind": "odometer", "text": "z is 0 from here on"})
@@ -358,18 +428,33 @@ class FakeDaemon:
 
     def _about(self) -> dict[str, Any]:
         return {
-            "cameras": [{
-                "number": 0, "kind": "remote", "device": "ipc:///head", "width": 2 * WIDTH, "height": 2 * HEIGHT,
-                "fps": self.fps, "exposure_us": 38000.0, "readout_us": 28000.0, "gain": 1.0,
-            }],
-            "window": {"opens_us": 2000.0, "closes_us": 12000.0}, "lamps": self.lamps, "job": self.job,
+            "cameras": [
+                {
+                    "number": 0,
+                    "kind": "remote",
+                    "device": "ipc:///head",
+                    "width": 2 * WIDTH,
+                    "height": 2 * HEIGHT,
+                    "fps": self.fps,
+                    "exposure_us": 38000.0,
+                    "readout_us": 28000.0,
+                    "gain": 1.0,
+                }
+            ],
+            "window": {"opens_us": 2000.0, "closes_us": 12000.0},
+            "lamps": self.lamps,
+            "job": self.job,
             "calibration": {
-                "file": "head-7.json", "provenance": {"camera": {"made": "2026-11-01"}}, "age_days": 24.0,
+                "file": "head-7.json",
+                "provenance": {"camera": {"made": "2026-11-01"}},
+                "age_days": 24.0,
                 "nominal_diameter_mm": 2 * RADIUS_MM,
             },
-            "controller": {"commit": "abcdef1", "version": "0.1.0"}, "record": {"folder": "/scans", "codec": "zstd"},
-            "limits": {"width_us": 20000.0, "duty": 0.5}, "version": "0.1.0",
-        }  # fmt: skip
+            "controller": {"commit": "abcdef1", "version": "0.1.0"},
+            "record": {"folder": "/scans", "codec": "zstd"},
+            "limits": {"width_us": 20000.0, "duty": 0.5},
+            "version": "0.1.0",
+        }
 
 
 def _slits() -> bytes:

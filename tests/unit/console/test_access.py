@@ -155,8 +155,14 @@ def test_hosts_are_taken_apart() -> None:
     assert split_host("[::1]:8600") == ("::1", "8600")
     assert split_host("a:1") == ("a", "1") and split_host("a") == ("a", "")
     assert [is_loopback(host) for host in ("127.8.8.8", "::1", "localhost", "0.0.0.0", "::", "10.0.0.1", "x")] == [
-        True, True, True, False, False, False, False,
-    ]  # fmt: skip
+        True,
+        True,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_so_many_at_once_and_then_so_many_a_second() -> None:

@@ -14,10 +14,21 @@ from annulus.console import gate, web
 from annulus.console.gate import FILES_POLICY, POLICY
 
 PATHS = [
-    "/static/../web.py", "/static/..%2fweb.py", "/static/%2e%2e/web.py", "/static/..\\web.py", "/static//etc/passwd",
-    "/static/%2fetc%2fpasswd", "/static/....//web.py", "/static/%00", "/static/strings/../../web.py", "/.git",
-    "/api/surveys/file/../../etc/passwd", "/api/defect/7/..", "/api/frame/0/-1", "/api/frame/0/99999999999999999999",
-]  # fmt: skip
+    "/static/../web.py",
+    "/static/..%2fweb.py",
+    "/static/%2e%2e/web.py",
+    "/static/..\\web.py",
+    "/static//etc/passwd",
+    "/static/%2fetc%2fpasswd",
+    "/static/....//web.py",
+    "/static/%00",
+    "/static/strings/../../web.py",
+    "/.git",
+    "/api/surveys/file/../../etc/passwd",
+    "/api/defect/7/..",
+    "/api/frame/0/-1",
+    "/api/frame/0/99999999999999999999",
+]
 
 
 def error_of(answer: Any, status: int) -> str:
@@ -123,9 +134,20 @@ def test_asking_with_get_changes_nothing(console: Browser, head: FakeDaemon) -> 
 
 
 MALFORMED = [
-    b"", b"{", b"[]", b"5", b'"do"', b"\xff\xfe", b'{"do": 1}', b'{"do": null}', b"{}",
-    b'{"do": "stop", "do": "start"}', b'{"do": NaN}', b"[" * 50_000, b'{"do": "stop", "x": ' + b"9" * 20_000 + b"}",
-]  # fmt: skip
+    b"",
+    b"{",
+    b"[]",
+    b"5",
+    b'"do"',
+    b"\xff\xfe",
+    b'{"do": 1}',
+    b'{"do": null}',
+    b"{}",
+    b'{"do": "stop", "do": "start"}',
+    b'{"do": NaN}',
+    b"[" * 50_000,
+    b'{"do": "stop", "x": ' + b"9" * 20_000 + b"}",
+]
 
 
 @pytest.mark.deep(but=1)
@@ -199,9 +221,18 @@ def test_a_script_in_a_name_stays_a_text(console: Browser, head: FakeDaemon) -> 
 
 
 SAID = [
-    "", "{", "[]", "null", '{"want": "points"}', '{"want": ["all"]}', '{"hidden": 1}', '{"do": "start"}',
-    '{"want": [{}]}', "[" * 400, b"\x00\x01",
-]  # fmt: skip
+    "",
+    "{",
+    "[]",
+    "null",
+    '{"want": "points"}',
+    '{"want": ["all"]}',
+    '{"hidden": 1}',
+    '{"do": "start"}',
+    '{"want": [{}]}',
+    "[" * 400,
+    b"\x00\x01",
+]
 
 
 @pytest.mark.parametrize("said", SAID, ids=lambda said: str(said)[:20])
@@ -244,10 +275,7 @@ def test_from_outside_nothing_but_the_door_is_shown(locked: tuple[Browser, str],
         assert error_of(browser.client.get(path), 401) == "log in first"
     for path in ("/api/do", "/api/arm", "/api/logout", "/api/tune"):
         error_of(browser.post(path, {"do": "stop"}), 401)
-    with (
-        pytest.raises(Exception) as caught,
-        browser.view(),
-    ):
+    with pytest.raises(Exception) as caught, browser.view():
         pass
     assert getattr(caught.value, "status_code", None) == 401
     assert did(head) == []

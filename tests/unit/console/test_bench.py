@@ -79,9 +79,20 @@ def test_an_impossible_mode_is_refused_by_the_one_who_knows() -> None:
 def test_a_burst_is_what_annulus_burst_show_says(web: TestClient) -> None:
     answer = web.post("/api/burst", json=BURST).json()
     assert answer["burst"]["argv"] == [
-        "burst", "show", "--repeat", "3", "--chip-us", "0.5", "--period-us", "1000", "--trigger-offset-us", "-2",
-        "--json", "--", "101",
-    ]  # fmt: skip
+        "burst",
+        "show",
+        "--repeat",
+        "3",
+        "--chip-us",
+        "0.5",
+        "--period-us",
+        "1000",
+        "--trigger-offset-us",
+        "-2",
+        "--json",
+        "--",
+        "101",
+    ]
     assert answer["why"] == ""
 
 
@@ -95,9 +106,18 @@ def test_a_burst_that_the_controller_would_refuse_is_drawn_with_the_reason(web: 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"code": "--help"}, {"code": "1" * 5000}, {"code": ""}, {"code": 101}, {"repeat": 1.5}, {"repeat": True},
-     {"chip_us": "1"}, {"period_us": None}, {"trigger_offset_us": 1e12}],
-)  # fmt: skip
+    [
+        {"code": "--help"},
+        {"code": "1" * 5000},
+        {"code": ""},
+        {"code": 101},
+        {"repeat": 1.5},
+        {"repeat": True},
+        {"chip_us": "1"},
+        {"period_us": None},
+        {"trigger_offset_us": 1e12},
+    ],
+)
 def test_nothing_but_a_code_and_numbers_reaches_the_child(wrong: dict[str, Any]) -> None:
     with pytest.raises(Refusal):
         burst_arguments({**BURST, **wrong})

@@ -51,10 +51,17 @@ def test_pictures_are_asked_for_while_a_viewer_looks_and_points_come_as_a_cloud(
     with viewer(server) as page:
         known = channels(page, 2)
         assert server.wants == frozenset()
-        page.send(json.dumps({
-            "op": "subscribe",
-            "subscriptions": [{"id": 1, "channelId": known["/preview/0"]}, {"id": 2, "channelId": known["/points"]}],
-        }))  # fmt: skip
+        page.send(
+            json.dumps(
+                {
+                    "op": "subscribe",
+                    "subscriptions": [
+                        {"id": 1, "channelId": known["/preview/0"]},
+                        {"id": 2, "channelId": known["/points"]},
+                    ],
+                }
+            )
+        )
         while server.wants != {"pictures"}:
             pass
         picture = jpeg(0, "led")

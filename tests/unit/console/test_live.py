@@ -242,14 +242,24 @@ def test_what_is_kept_of_defects_takes_the_room_of_the_latest_pictures(head: Hea
 
 
 WRONG = [
-    ("preview/0", {"index": -1}, b"\xff\xd8"), ("preview/0", {"index": 1}, b"GIF"), ("preview/0", [], b""),
-    ("preview/0", {"index": 1, "z_mm": "far"}, b"\xff\xd8"), ("rows/0", {"index": 1}, b"abc"),
-    ("slits/0", {"index": 1}, b"abc"), ("slits/0", {"index": 2**40}, b""), ("wall", {}, b""), ("wall", 5, b""),
+    ("preview/0", {"index": -1}, b"\xff\xd8"),
+    ("preview/0", {"index": 1}, b"GIF"),
+    ("preview/0", [], b""),
+    ("preview/0", {"index": 1, "z_mm": "far"}, b"\xff\xd8"),
+    ("rows/0", {"index": 1}, b"abc"),
+    ("slits/0", {"index": 1}, b"abc"),
+    ("slits/0", {"index": 2**40}, b""),
+    ("wall", {}, b""),
+    ("wall", 5, b""),
     ("wall", {"scan": 1, "of": "recent", "step_mm": 5, "first": 0, "rows": 9, "columns": 360, "radius_mm": 75}, b"ab"),
-    ("profile", {"frame": 1, "points": b"abc"}, b""), ("profile", {"frame": 1, "points": "text"}, b""),
-    ("profile", {"frame": 1, "points": np.full(3, np.nan, "<f4").tobytes()}, b""), ("profile", {}, b""),
-    ("closeup", {"scan": 1}, b""), ("closeup", {"scan": 1, "id": 1, "section_mm": b"abc"}, b""), ("telemetry", 5, b""),
-]  # fmt: skip
+    ("profile", {"frame": 1, "points": b"abc"}, b""),
+    ("profile", {"frame": 1, "points": "text"}, b""),
+    ("profile", {"frame": 1, "points": np.full(3, np.nan, "<f4").tobytes()}, b""),
+    ("profile", {}, b""),
+    ("closeup", {"scan": 1}, b""),
+    ("closeup", {"scan": 1, "id": 1, "section_mm": b"abc"}, b""),
+    ("telemetry", 5, b""),
+]
 
 
 @pytest.mark.deep(but=1)

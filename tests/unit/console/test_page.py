@@ -19,9 +19,10 @@ STATIC = Path(annulus.console.__file__).with_name("static")
 OWN = sorted(path for path in STATIC.rglob("*") if path.is_file() and "vendor" not in path.parts)
 MODULES = [path for path in OWN if path.suffix == ".js"]
 QUANTITIES = {
-    name: quantity for name in ("DISTANCE", "MEASURE", "EXTENT", "ANGLE", "ARC", "PERCENT", "SHARE")
+    name: quantity
+    for name in ("DISTANCE", "MEASURE", "EXTENT", "ANGLE", "ARC", "PERCENT", "SHARE")
     if isinstance(quantity := getattr(rounding, name), Quantity)
-}  # fmt: skip
+}
 SEED = 18
 ELSEWHERE = re.compile(rb"https?://[^\s\"'`)>]+|[\"'`]//[a-z]")
 NAMESPACES = (b"http://www.w3.org/2000/svg", b"http://www.w3.org/1999/xhtml")
@@ -44,10 +45,12 @@ def test_every_language_has_every_string_and_the_same_blanks_in_it() -> None:
 def test_every_string_that_a_module_asks_for_is_there() -> None:
     english = strings("en")
     asked = {
-        key for path in (*MODULES, STATIC / "index.html")
-        for line in path.read_text(encoding="utf-8").splitlines() if not line.lstrip().startswith("//")
+        key
+        for path in (*MODULES, STATIC / "index.html")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if not line.lstrip().startswith("//")
         for key in re.findall(r"(?:\bt\(|data-t=|data-t-label=)\"([\w.-]+)\"", line)
-    }  # fmt: skip
+    }
     assert asked
     assert sorted(asked - english.keys()) == []
 
@@ -55,8 +58,10 @@ def test_every_string_that_a_module_asks_for_is_there() -> None:
 def test_nothing_of_the_page_names_another_machine() -> None:
     named = {
         f"{path.relative_to(STATIC)}: {found.decode()}"
-        for path in OWN for found in ELSEWHERE.findall(path.read_bytes()) if not found.startswith(NAMESPACES)
-    }  # fmt: skip
+        for path in OWN
+        for found in ELSEWHERE.findall(path.read_bytes())
+        if not found.startswith(NAMESPACES)
+    }
     assert named == set()
 
 
@@ -107,10 +112,11 @@ def asked() -> list[tuple[str, float, str, float | None, bool]]:
 def answer(what: str, value: float, name: str, k2: float | None, at_least: bool) -> str:
     quantity = QUANTITIES[name]
     said: dict[str, Any] = {
-        "digits": lambda: rounding.digits(value, quantity), "digitsK2": lambda: rounding.digits_k2(value, quantity),
+        "digits": lambda: rounding.digits(value, quantity),
+        "digitsK2": lambda: rounding.digits_k2(value, quantity),
         "said": lambda: rounding.said(value, quantity, k2, at_least=at_least),
         "clockFace": lambda: rounding.clock_face(value),
-    }  # fmt: skip
+    }
     return str(said[what]())
 
 

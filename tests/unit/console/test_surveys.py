@@ -52,12 +52,24 @@ said = {"format": "annulus-summary/1", "source": str(scan), "argv": sys.argv[1:]
 
 def record(path: Path, part: Part | None = None, calibration: dict[str, Any] | None = None, close: bool = True) -> Path:
     writer = RecordingWriter(
-        path, calibration=calibration, configuration={"job": {"pipe": "P-1", "site": "Elm <b>Street</b>"}}, now_ns=0,
-        codec=Codec.RAW, clock=Clock(0, 1_800_000_000_000_000_000), part=part,
-    )  # fmt: skip
+        path,
+        calibration=calibration,
+        configuration={"job": {"pipe": "P-1", "site": "Elm <b>Street</b>"}},
+        now_ns=0,
+        codec=Codec.RAW,
+        clock=Clock(0, 1_800_000_000_000_000_000),
+        part=part,
+    )
     for index in range(5):
-        label = {"index": index, "label": "projector", "z_mm": 10.0 * index, "encoding": "mono8", "width": 32,
-                 "height": 32, "timestamp_ns": index}  # fmt: skip
+        label = {
+            "index": index,
+            "label": "projector",
+            "z_mm": 10.0 * index,
+            "encoding": "mono8",
+            "width": 32,
+            "height": 32,
+            "timestamp_ns": index,
+        }
         writer.frame(label, np.zeros((32, 32), np.uint8), index * 40_000_000)
     writer.flush()
     if close:
@@ -68,11 +80,17 @@ def record(path: Path, part: Part | None = None, calibration: dict[str, Any] | N
 def result(folder: Path, **more: Any) -> Path:
     folder.mkdir(parents=True)
     summary = {
-        "format": "annulus-summary/1", "source": "/data/a.mcap", "created": "2026-11-25T06:29:48+00:00",
-        "job": {"pipe": "P-1"}, "scanned_mm": {"from": 0.0, "to": 401.0, "length": 401.0},
-        "diameter_mm": {"mean": 152.4, "k2": 0.1}, "defects": [{"depth_mm": 2.0}, {"depth_mm": 4.0}], "warnings": [],
-        "conformity": {"decision": "accepted"}, **more,
-    }  # fmt: skip
+        "format": "annulus-summary/1",
+        "source": "/data/a.mcap",
+        "created": "2026-11-25T06:29:48+00:00",
+        "job": {"pipe": "P-1"},
+        "scanned_mm": {"from": 0.0, "to": 401.0, "length": 401.0},
+        "diameter_mm": {"mean": 152.4, "k2": 0.1},
+        "defects": [{"depth_mm": 2.0}, {"depth_mm": 4.0}],
+        "warnings": [],
+        "conformity": {"decision": "accepted"},
+        **more,
+    }
     (folder / "summary.json").write_text(json.dumps(summary))
     (folder / "report.html").write_text("<h1>report</h1>")
     return folder

@@ -21,9 +21,11 @@ def cylinder(kind: str, fine: int = 1) -> Field:
     grid = grid_of([rho, phi if kind == "rp" else np.linspace(0.0, 5.0, 4)], kind)
     own = grid.axes[:, 0]
     return solve(
-        grid, lambda middle, points: np.where(middle[:, :1] < MIDDLE, WALL, WET) + 0 * points[0],
-        [own < INNER + 1e-6], own > OUTER - 1e-6,
-    )  # fmt: skip
+        grid,
+        lambda middle, points: np.where(middle[:, :1] < MIDDLE, WALL, WET) + 0 * points[0],
+        [own < INNER + 1e-6],
+        own > OUTER - 1e-6,
+    )
 
 
 @pytest.mark.parametrize(("kind", "length"), [("rp", 1.0), ("rz", 5.0)])

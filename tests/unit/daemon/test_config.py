@@ -69,8 +69,10 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     assert config.control == SocketConfig("tcp://127.0.0.1:5602") and config.autostart
     assert config.sensors[0] == SensorConfig("remote", "ipc:///run/head/sensors")
     assert [(one.kind, one.name) for one in config.sensors[1:]] == [
-        ("fdc2214", "capacitance"), ("ina226", "supply"), ("mpu6050", "imu"),
-    ]  # fmt: skip
+        ("fdc2214", "capacitance"),
+        ("ina226", "supply"),
+        ("mpu6050", "imu"),
+    ]
     assert config.cameras == (CameraConfig(colour_gains=(1.9, 1.6)),)
     assert config.record == RecordConfig() and config.realtime is None
     assert config.log == LogConfig(tmp_path / "head.log")
@@ -158,7 +160,7 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ('[calibration]\nfile = "crop.json"', "sensor_crop"),
         ('[calibration]\nfile = "two.json"\n[camera]\nwidth = 640\nheight = 480', "a camera 1"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "c.json").write_text(json.dumps(CALIBRATION))
     (tmp_path / "c.json").chmod(0o600)  # one row takes it for a key

@@ -79,9 +79,12 @@ def test_requests_are_obeyed_and_refusals_are_one_line(daemon: Daemon) -> None:
         with pytest.raises(AnnulusError, match="no scan is under way"):
             head.stop()
     assert daemon.asked == [
-        Request(Do.STATE), Request(Do.START), Request(Do.MARK, "joint", 90.0), Request(Do.MARK, "here"),
+        Request(Do.STATE),
+        Request(Do.START),
+        Request(Do.MARK, "joint", 90.0),
+        Request(Do.MARK, "here"),
         Request(Do.ZERO),
-    ]  # fmt: skip
+    ]
     assert daemon.ended().malformed == 0
 
 
@@ -115,7 +118,7 @@ def test_requests_are_obeyed_and_refusals_are_one_line(daemon: Daemon) -> None:
         (msgpack.packb({"do": "mark", "clock_deg": True}), "clock_deg"),
         (bytes(REQUEST_MAX + 1), str(REQUEST_MAX)),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_answered_with_what_is_wrong(daemon: Daemon, packed: bytes, says: str) -> None:
     with ControlClient(daemon.socket.address) as head:
         head._socket.send(packed)

@@ -16,9 +16,12 @@ class Head:
     def __init__(self, records: bool = True) -> None:
         self.watch, self.now_s = HealthWatch(records), 100.0
         self.telemetry: dict[str, Any] = {
-            "state": "scanning", "frames": {"projector": 0, "led": 0, "unknown": 0}, "recorded": 0, "drops": {},
+            "state": "scanning",
+            "frames": {"projector": 0, "led": 0, "unknown": 0},
+            "recorded": 0,
+            "drops": {},
             "disk": {},
-        }  # fmt: skip
+        }
 
     def second(
         self, known: int = 25, unknown: int = 0, recorded: int | None = None, why: str = "", **lost: int

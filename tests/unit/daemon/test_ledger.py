@@ -21,7 +21,7 @@ def test_what_adds_up_is_shown_and_what_does_not_is_said() -> None:
     assert ledger().problem == "" and ledger().lines() == [
         "1000 frames = 990 labelled + 10 lost (10 no_slot) before a label",
         "990 labelled = 990 recorded + 0 lost after it",
-    ]  # fmt: skip
+    ]
     assert "3 neither labelled nor lost" in ledger(taken=1003).problem
     assert "990 neither recorded nor lost" in ledger(recorded=0).problem
     assert "5 neither recorded nor lost too many" in ledger(after={"disk": 5}).problem

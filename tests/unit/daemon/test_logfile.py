@@ -29,9 +29,13 @@ def test_what_happens_is_a_line_with_time_level_and_kind(tmp_path: Path) -> None
     lines = (tmp_path / "logs" / "head.log").read_text().splitlines()
     assert all(LINE.fullmatch(line) for line in lines)
     assert [line.split("Z ", 1)[1] for line in lines] == [
-        "WARNING state fault: the line is broken", "WARNING link the line went away", "INFO odometer zeroed",
-        "WARNING health degraded: 3 disk", "INFO health ok", "INFO telemetry scanning: 3 led; lost: nothing",
-    ]  # fmt: skip
+        "WARNING state fault: the line is broken",
+        "WARNING link the line went away",
+        "INFO odometer zeroed",
+        "WARNING health degraded: 3 disk",
+        "INFO health ok",
+        "INFO telemetry scanning: 3 led; lost: nothing",
+    ]
 
 
 def test_the_files_have_a_bound_and_the_last_lines_are_kept(tmp_path: Path) -> None:

@@ -27,9 +27,12 @@ class Stand:
     def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*", calibration=None) -> None:
         self.context, self.ring, self.account, self.index = zmq.Context(), FrameRing(8, 1200), Account(), 0
         self.publishing = Publishing(
-            SocketConfig(address, None), Shared(self.ring, self.context, folder), self.account, Observer(),
+            SocketConfig(address, None),
+            Shared(self.ring, self.context, folder),
+            self.account,
+            Observer(),
             calibration=calibration,
-        )  # fmt: skip
+        )
         self.viewer = self.context.socket(zmq.SUB)
         self.viewer.subscribe(b"")
 

@@ -126,24 +126,38 @@ def test_whoever_gives_roll_in_degrees_is_the_attitude_sensor() -> None:
 
 
 PLAYS = {
-    "voltage_v": 5.0, "current_a": 0.4, "x_g": 0.5, "y_g": -0.866, "z_g": 0.0, "temperature_c": 21.0,
-    "c1_pf": 4.8, "c2_pf": 4.85, "c3_pf": 4.57, "cref_pf": 4.7, "loss1_ff": 20.0, "loss2_ff": 0.0, "loss3_ff": 30.0,
-}  # fmt: skip
+    "voltage_v": 5.0,
+    "current_a": 0.4,
+    "x_g": 0.5,
+    "y_g": -0.866,
+    "z_g": 0.0,
+    "temperature_c": 21.0,
+    "c1_pf": 4.8,
+    "c2_pf": 4.85,
+    "c3_pf": 4.57,
+    "cref_pf": 4.7,
+    "loss1_ff": 20.0,
+    "loss2_ff": 0.0,
+    "loss3_ff": 30.0,
+}
 
 
 def head_on_i2c(monkeypatch: pytest.MonkeyPatch) -> tuple[TwinBus, dict[str, float], Rig, I2cSensors]:
     """A supply with lamps, an IMU and three sectors on the twin's bus, opened as head.toml names them."""
     plays = dict(PLAYS)
-    bus = TwinBus({0x40: ina226(plays, 10.0), 0x68: mpu6050(plays), 0x2A: fdc2214(plays, Tank()),
-                   0x48: ads1115(plays, Tank())})  # fmt: skip
+    bus = TwinBus(
+        {0x40: ina226(plays, 10.0), 0x68: mpu6050(plays), 0x2A: fdc2214(plays, Tank()), 0x48: ads1115(plays, Tank())}
+    )
     monkeypatch.setattr(samples, "open_bus", lambda number: bus)
     monkeypatch.setattr(I2cSensors, "start", lambda self: None)  # the test takes its steps
     rail = {"draws_ma": 50.0, "most_a": 1.0, "derated_from_c": 40.0, "derated_a_per_k": 0.02}
-    (on_bus,) = open_sensors((
-        SensorConfig("ina226", "/dev/i2c-1", "supply", 0x40, 25.0, rail),
-        SensorConfig("fdc2214", "/dev/i2c-1", "capacitance", 0x2A, 25.0, {"adc_address": 0x48}),
-        SensorConfig("mpu6050", "/dev/i2c-1", "imu", 0x68),
-    ))  # fmt: skip
+    (on_bus,) = open_sensors(
+        (
+            SensorConfig("ina226", "/dev/i2c-1", "supply", 0x40, 25.0, rail),
+            SensorConfig("fdc2214", "/dev/i2c-1", "capacitance", 0x2A, 25.0, {"adc_address": 0x48}),
+            SensorConfig("mpu6050", "/dev/i2c-1", "imu", 0x68),
+        )
+    )
     assert isinstance(on_bus, I2cSensors)
     return bus, plays, Rig(on_bus=on_bus), on_bus
 

@@ -48,9 +48,12 @@ def test_a_head_is_ready_when_it_is_up_and_says_when_it_ends(systemd: Systemd) -
     for state in (State.POWERING, State.IDLE, State.ARMED, State.FAULT, State.ENDING):
         service.state(state, "the line\nis broken" if state is State.FAULT else "")
     assert systemd.heard() == [
-        ["STATUS=powering"], ["READY=1", "STATUS=idle"], ["STATUS=armed"], ["STATUS=fault: the line is broken"],
+        ["STATUS=powering"],
+        ["READY=1", "STATUS=idle"],
+        ["STATUS=armed"],
+        ["STATUS=fault: the line is broken"],
         ["STOPPING=1", "STATUS=ending"],
-    ]  # fmt: skip
+    ]
     service.close()
 
 

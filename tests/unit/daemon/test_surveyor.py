@@ -49,9 +49,14 @@ def a_profile(frame: int, z_mm: float, points: Any = ((0.0, 0.0, 0.0),)) -> Prof
     n = len(points)
     nothing = np.zeros(n, np.uint8)
     return Profile(
-        frame, z_mm, Pose(0.0, 0.0, 0.0, 0.0), np.array(points, np.float32), np.zeros((n, 3), np.uint8), nothing,
+        frame,
+        z_mm,
+        Pose(0.0, 0.0, 0.0, 0.0),
+        np.array(points, np.float32),
+        np.zeros((n, 3), np.uint8),
+        nothing,
         nothing.astype(np.uint16),
-    )  # fmt: skip
+    )
 
 
 def findings(monkeypatch: Any) -> Findings:

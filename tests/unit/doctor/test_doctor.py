@@ -74,11 +74,14 @@ def test_no_port_and_no_board_are_nothing_wrong(tmp_path: Path) -> None:
     assert [one.ok for one in lines.boards()] == [None]
 
 
-@pytest.mark.parametrize(("runs", "fits", "ok", "says"), [
-    ("cafe0001", True, None, "runs cafe0001, annulus has beef0002: `annulus firmware flash` with this port"),
-    ("beef0002", True, True, "runs beef0002, as annulus has it"),
-    ("beef0002", False, False, "cannot talk to this host"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("runs", "fits", "ok", "says"),
+    [
+        ("cafe0001", True, None, "runs cafe0001, annulus has beef0002: `annulus firmware flash` with this port"),
+        ("beef0002", True, True, "runs beef0002, as annulus has it"),
+        ("beef0002", False, False, "cannot talk to this host"),
+    ],
+)
 def test_a_boards_firmware_is_held_against_the_image(
     runs: str, fits: bool, ok: bool | None, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,16 +11,32 @@ from annulus.report.ply import write_ply
 
 RADIUS_MM, Z_STEP_MM, ROWS = 76.2, 0.5, 400
 CLOUD = [
-    ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
-    ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"), ("camera", "u1"),
-]  # fmt: skip
+    ("x", "<f4"),
+    ("y", "<f4"),
+    ("z", "<f4"),
+    ("red", "u1"),
+    ("green", "u1"),
+    ("blue", "u1"),
+    ("radius", "<f4"),
+    ("frame", "<i4"),
+    ("ring", "u1"),
+    ("sigma", "<f4"),
+    ("camera", "u1"),
+]
 
 
 def place(kind: str, z: float, length: float, clock_deg: float, arc: float, **more: Any) -> dict[str, Any]:
     return {
-        "kind": kind, "z_mm": z, "length_mm": length, "clock_deg": clock_deg, "arc_deg": arc, "clock": "?",
-        "z_from_mm": z - length / 2, "z_to_mm": z + length / 2, **more,
-    }  # fmt: skip
+        "kind": kind,
+        "z_mm": z,
+        "length_mm": length,
+        "clock_deg": clock_deg,
+        "arc_deg": arc,
+        "clock": "?",
+        "z_from_mm": z - length / 2,
+        "z_to_mm": z + length / 2,
+        **more,
+    }
 
 
 def depth(mm: float, k2: float | None, **more: Any) -> dict[str, Any]:
@@ -36,7 +52,7 @@ SUMMARY = {
     "seen_percent": 98.0,
     "diameter_mm": {"mean": 152.4, "min": 151.0, "max": 155.0, "nominal": 152.4, "k2": 0.1},
     "ovality": {"max_percent": 1.2, "shape_max_percent": 1.0},
-    "job": {"client": "=HYPERLINK(\"x\")", "site": "Elm Street", "pipe": "P-12", "operator": {"name": "A. B."}},
+    "job": {"client": '=HYPERLINK("x")', "site": "Elm Street", "pipe": "P-12", "operator": {"name": "A. B."}},
     "origin": {"begun_utc": "2026-05-04T09:00:00+00:00", "controller": {"serial": "@77"}},
     "defects": [
         place("loss", 145.5, 32.5, 100.0, 26.0, **depth(3.998, 0.104), severity="major"),
@@ -58,7 +74,7 @@ SUMMARY = {
     ],
     "versions": {"annulus": "0.1.0"},
     "warnings": [{"kind": "dark", "text": "one frame is dark", "frames": [1]}],
-}  # fmt: skip
+}
 
 
 def radius_map() -> np.ndarray:
@@ -107,9 +123,17 @@ def write_folder(folder: Path, points: int = 1000) -> Path:
     with (folder / "stations.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(
-            ["z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-             "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm"]
-        )  # fmt: skip
+            [
+                "z_mm",
+                "diameter_min_mm",
+                "diameter_max_mm",
+                "diameter_mean_mm",
+                "ovality_f1216_percent",
+                "shape_ovality_f1216_percent",
+                "valid_fraction",
+                "diameter_k2_mm",
+            ]
+        )
         for i in range(0, ROWS, 10):
             row = [z[i : i + 10].mean(), 151.0, 155.0, 152.4, 1.2, 0.01 * i, 0.98, 0.1]
             table.writerow([f"{value:.4f}" if i != 50 or n in (0, 6) else "" for n, value in enumerate(row)])
@@ -118,7 +142,12 @@ def write_folder(folder: Path, points: int = 1000) -> Path:
     radius = radius_map()
     away = np.clip(np.rint(1e3 * (radius - RADIUS_MM)), -32767, 32767)
     np.savez_compressed(
-        folder / "wall.npz", format="annulus-wall/1", deviation_um=np.where(np.isnan(away), -32768, away).astype("i2"),
-        z_mm=z, clock_deg=np.arange(360) + 0.5, z_step_mm=Z_STEP_MM, radius_mm=RADIUS_MM,
-    )  # fmt: skip
+        folder / "wall.npz",
+        format="annulus-wall/1",
+        deviation_um=np.where(np.isnan(away), -32768, away).astype("i2"),
+        z_mm=z,
+        clock_deg=np.arange(360) + 0.5,
+        z_step_mm=Z_STEP_MM,
+        radius_mm=RADIUS_MM,
+    )
     return folder

@@ -65,9 +65,14 @@ def test_nothing_asked_for_a_foreign_folder_and_a_file_in_the_way_are_one_line(f
 @pytest.mark.deep(but="dxf-ezdxf-export")
 @pytest.mark.parametrize(
     ("form", "package", "extra"),
-    [("laz", "laspy", "export"), ("laz", "lazrs", "export"), ("xlsx", "openpyxl", "export"), ("dxf", "ezdxf", "export"),
-     ("e57", "pye57", "e57")],
-)  # fmt: skip
+    [
+        ("laz", "laspy", "export"),
+        ("laz", "lazrs", "export"),
+        ("xlsx", "openpyxl", "export"),
+        ("dxf", "ezdxf", "export"),
+        ("e57", "pye57", "e57"),
+    ],
+)
 def test_a_missing_package_is_one_line_with_the_command_that_adds_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch, form: str, package: str, extra: str
 ) -> None:

@@ -134,9 +134,15 @@ def test_in_a_bend_outlines_follow_the_centre_line(folder: Path) -> None:
     quarter = 1.0 / (200.0 / (math.pi / 2))  # 1/mm: 200 mm of pipe turn a right angle to the right
     course = json.loads((folder / "centreline.json").read_text())
     course["pieces"] = [
-        {"start_mm": 100.0, "radius_mm": 76.2, "taper_mm_per_mm": 0.0, "offset_mm": [0.0, 0.0], "turn_deg": [0.0, 0.0],
-         "curvature_per_m": [1e3 * quarter, 0.0]}
-    ]  # fmt: skip
+        {
+            "start_mm": 100.0,
+            "radius_mm": 76.2,
+            "taper_mm_per_mm": 0.0,
+            "offset_mm": [0.0, 0.0],
+            "turn_deg": [0.0, 0.0],
+            "curvature_per_m": [1e3 * quarter, 0.0],
+        }
+    ]
     (folder / "centreline.json").write_text(json.dumps(course))
     (path,) = write(open_results(folder), ["dxf"], folder / "export")
     lines = list(ezdxf.readfile(path).modelspace().query('POLYLINE[layer=="STATIONS"]'))

@@ -69,17 +69,32 @@ def test_what_is_no_folder_of_results_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "how",
     [
-        without("format"), without("scanned_mm"), without("diameter_mm"), without("defects"), without("features"),
-        without("points"), lambda data: data | {"format": "annulus-summary/2"}, lambda data: data | {"defects": {}},
-        lambda data: data | {"defects": [1]}, lambda data: data | {"scanned_mm": {"from": 10, "to": 1}},
-        lambda data: data | {"points": -1}, lambda data: data | {"job": ["x"]},
+        without("format"),
+        without("scanned_mm"),
+        without("diameter_mm"),
+        without("defects"),
+        without("features"),
+        without("points"),
+        lambda data: data | {"format": "annulus-summary/2"},
+        lambda data: data | {"defects": {}},
+        lambda data: data | {"defects": [1]},
+        lambda data: data | {"scanned_mm": {"from": 10, "to": 1}},
+        lambda data: data | {"points": -1},
+        lambda data: data | {"job": ["x"]},
         lambda data: data | {"job": {"a": {"b": {"c": {"d": 1}}}, "x": "y" * 10_000}},
-        lambda data: data | {"source": "x" * 100_000}, lambda data: data | {"diameter_mm": {"nominal": 0}},
-        first_defect(z_mm="here"), first_defect(z_mm=1e300), first_defect(kind=7), first_defect(depth_mm=-1),
-        first_defect(arc_deg=361), first_defect(clock_deg=None), first_defect(length_mm=[1]),
-        first_defect(clock_deg=True), lambda data: [data],
+        lambda data: data | {"source": "x" * 100_000},
+        lambda data: data | {"diameter_mm": {"nominal": 0}},
+        first_defect(z_mm="here"),
+        first_defect(z_mm=1e300),
+        first_defect(kind=7),
+        first_defect(depth_mm=-1),
+        first_defect(arc_deg=361),
+        first_defect(clock_deg=None),
+        first_defect(length_mm=[1]),
+        first_defect(clock_deg=True),
+        lambda data: [data],
     ],
-)  # fmt: skip
+)
 def test_a_summary_that_is_none_is_one_line(folder: Path, how: Change) -> None:
     change(folder / "summary.json", how)
     refused(folder, "summary.json", "pof-csv")
@@ -127,12 +142,21 @@ def rewrite_head(path: Path, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("vertex 1000", "vertex 1001"), ("vertex 1000", "vertex 999"), ("vertex 1000", "vertex 2000000000"),
-        ("vertex 1000", "vertex 99999999999999999999"), ("vertex 1000", "vertex -1"), ("vertex 1000", "vertex 0"),
-        ("float x", "double x"), ("float x", "float q"), ("float x", "list uchar int x"), ("float y", "float x"),
-        ("binary_little_endian", "ascii"), ("element vertex", "element edge"), ("end_header", "endless"),
+        ("vertex 1000", "vertex 1001"),
+        ("vertex 1000", "vertex 999"),
+        ("vertex 1000", "vertex 2000000000"),
+        ("vertex 1000", "vertex 99999999999999999999"),
+        ("vertex 1000", "vertex -1"),
+        ("vertex 1000", "vertex 0"),
+        ("float x", "double x"),
+        ("float x", "float q"),
+        ("float x", "list uchar int x"),
+        ("float y", "float x"),
+        ("binary_little_endian", "ascii"),
+        ("element vertex", "element edge"),
+        ("end_header", "endless"),
     ],
-)  # fmt: skip
+)
 def test_a_cloud_whose_head_lies_is_one_line(folder: Path, old: str, new: str) -> None:
     rewrite_head(folder / "cloud.ply", old, new)
     refused(folder, "cloud.ply", "laz")
@@ -161,14 +185,24 @@ def test_a_face_that_has_no_corner_is_one_line(folder: Path) -> None:
 @pytest.mark.parametrize(
     "more",
     [
-        {"deviation_um": np.zeros((400, 360))}, {"deviation_um": np.zeros((399, 360), "i2")},
-        {"deviation_um": np.zeros(400, "i2")}, {"z_mm": np.zeros(400)}, {"z_mm": np.full(400, np.nan)},
-        {"z_mm": np.arange(400)[::-1] * 1.0}, {"clock_deg": np.arange(360) + 5.0}, {"clock_deg": np.zeros(360)},
-        {"radius_mm": np.nan}, {"radius_mm": -1.0}, {"radius_mm": np.ones(3)}, {"z_step_mm": 0.0},
-        {"format": "annulus-wall/2"}, {"format": np.array([{}], dtype=object)},
-        {"deviation_um": np.zeros((0, 360), "i2")}, {"radius_mm": "76.2"},
+        {"deviation_um": np.zeros((400, 360))},
+        {"deviation_um": np.zeros((399, 360), "i2")},
+        {"deviation_um": np.zeros(400, "i2")},
+        {"z_mm": np.zeros(400)},
+        {"z_mm": np.full(400, np.nan)},
+        {"z_mm": np.arange(400)[::-1] * 1.0},
+        {"clock_deg": np.arange(360) + 5.0},
+        {"clock_deg": np.zeros(360)},
+        {"radius_mm": np.nan},
+        {"radius_mm": -1.0},
+        {"radius_mm": np.ones(3)},
+        {"z_step_mm": 0.0},
+        {"format": "annulus-wall/2"},
+        {"format": np.array([{}], dtype=object)},
+        {"deviation_um": np.zeros((0, 360), "i2")},
+        {"radius_mm": "76.2"},
     ],
-)  # fmt: skip
+)
 def test_a_wall_map_that_is_none_is_one_line(folder: Path, more: dict[str, Any]) -> None:
     with np.load(folder / "wall.npz") as file:
         held = dict(file)
@@ -186,14 +220,24 @@ def test_a_wall_map_that_would_fill_the_memory_is_one_line(folder: Path) -> None
 @pytest.mark.parametrize(
     "how",
     [
-        without("line_mm"), without("format"), lambda data: data | {"line_mm": []},
+        without("line_mm"),
+        without("format"),
+        lambda data: data | {"line_mm": []},
         lambda data: data | {"line_mm": [[1]]},
-        lambda data: data | {"line_mm": [[0, 0, 0, "x"]]}, lambda data: data | {"pieces": [{}]},
-        lambda data: data | {"pieces": [7]}, lambda data: data | {"pieces": "x"},
-        lambda data: data | {"pieces": [{"start_mm": 0, "radius_mm": 1, "offset_mm": [0], "turn_deg": [0, 0],
-                                         "curvature_per_m": [0, 0]}]},
+        lambda data: data | {"line_mm": [[0, 0, 0, "x"]]},
+        lambda data: data | {"pieces": [{}]},
+        lambda data: data | {"pieces": [7]},
+        lambda data: data | {"pieces": "x"},
+        lambda data: (
+            data
+            | {
+                "pieces": [
+                    {"start_mm": 0, "radius_mm": 1, "offset_mm": [0], "turn_deg": [0, 0], "curvature_per_m": [0, 0]}
+                ]
+            }
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_course_that_is_none_is_one_line(folder: Path, how: Change) -> None:
     change(folder / "centreline.json", how)
     refused(folder, "centreline.json", "dxf")

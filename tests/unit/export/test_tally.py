@@ -15,14 +15,36 @@ from annulus.export.tally import clock_time
 
 Written = Callable[[str], Path]
 POF_2016 = [
-    "Log distance [m]", "Latitude", "Longitude", "Altitude [m]", "Feature type", "Feature identification",
-    "Comment / Cluster ID", "Girth weld Nr", "Joint manufacturing type", "Joint / component length [m]",
-    "Internal diameter [mm]", "Nominal thickness [mm]", "Measured/reference thickness [mm]", "Ovality [%]",
-    "Bend Y/N", "Abs. dist. to upstream weld [m]", "Clock position seam weld / anomaly [hh:mm]", "Surface location",
-    "Inward/outward", "Depth / height [mm]", "Size (length x width) [mm]", "Mean depth [mm]", "Max. depth [mm]",
-    "Length [mm]", "Width [mm]", "Anomaly dimension classification", "ERF (metal losses)",
-    "Reference table for performance", "Comments",
-]  # fmt: skip
+    "Log distance [m]",
+    "Latitude",
+    "Longitude",
+    "Altitude [m]",
+    "Feature type",
+    "Feature identification",
+    "Comment / Cluster ID",
+    "Girth weld Nr",
+    "Joint manufacturing type",
+    "Joint / component length [m]",
+    "Internal diameter [mm]",
+    "Nominal thickness [mm]",
+    "Measured/reference thickness [mm]",
+    "Ovality [%]",
+    "Bend Y/N",
+    "Abs. dist. to upstream weld [m]",
+    "Clock position seam weld / anomaly [hh:mm]",
+    "Surface location",
+    "Inward/outward",
+    "Depth / height [mm]",
+    "Size (length x width) [mm]",
+    "Mean depth [mm]",
+    "Max. depth [mm]",
+    "Length [mm]",
+    "Width [mm]",
+    "Anomaly dimension classification",
+    "ERF (metal losses)",
+    "Reference table for performance",
+    "Comments",
+]
 
 
 @pytest.fixture
@@ -54,8 +76,14 @@ def test_every_defect_undecided_place_and_feature_has_one_line_in_order_of_dista
 
 def test_what_a_plastic_pipes_inspector_does_not_know_stays_empty(table: Any) -> None:
     assert list(table["Feature type"][table["Feature identification"] == "Joint"]) == ["Weld", "Joint"]
-    for name in ("Latitude", "Nominal thickness [mm]", "ERF (metal losses)", "Anomaly dimension classification",
-                 "Mean depth [mm]", "Joint manufacturing type"):  # fmt: skip
+    for name in (
+        "Latitude",
+        "Nominal thickness [mm]",
+        "ERF (metal losses)",
+        "Anomaly dimension classification",
+        "Mean depth [mm]",
+        "Joint manufacturing type",
+    ):
         assert table[name].isna().all()
 
 

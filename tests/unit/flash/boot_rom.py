@@ -188,17 +188,31 @@ def usb_error(number: int) -> usb.core.USBError:
 
 def _endpoint(address: int) -> SimpleNamespace:
     return SimpleNamespace(
-        bLength=7, bDescriptorType=5, bEndpointAddress=address, bmAttributes=2, wMaxPacketSize=64, bInterval=0,
-        bRefresh=0, bSynchAddress=0, extra_descriptors=[],
-    )  # fmt: skip
+        bLength=7,
+        bDescriptorType=5,
+        bEndpointAddress=address,
+        bmAttributes=2,
+        wMaxPacketSize=64,
+        bInterval=0,
+        bRefresh=0,
+        bSynchAddress=0,
+        extra_descriptors=[],
+    )
 
 
 def _interface(number: int, kind: tuple[int, int, int]) -> SimpleNamespace:
     return SimpleNamespace(
-        bLength=9, bDescriptorType=4, bInterfaceNumber=number, bAlternateSetting=0, bNumEndpoints=2,
-        bInterfaceClass=kind[0], bInterfaceSubClass=kind[1], bInterfaceProtocol=kind[2], iInterface=0,
+        bLength=9,
+        bDescriptorType=4,
+        bInterfaceNumber=number,
+        bAlternateSetting=0,
+        bNumEndpoints=2,
+        bInterfaceClass=kind[0],
+        bInterfaceSubClass=kind[1],
+        bInterfaceProtocol=kind[2],
+        iInterface=0,
         extra_descriptors=[],
-    )  # fmt: skip
+    )
 
 
 class Bus:
@@ -215,19 +229,41 @@ class Bus:
 
     def get_device_descriptor(self, board: Board) -> SimpleNamespace:
         return SimpleNamespace(
-            bLength=18, bDescriptorType=1, bcdUSB=0x0110, bDeviceClass=0, bDeviceSubClass=0, bDeviceProtocol=0,
-            bMaxPacketSize0=64, idVendor=0x2E8A, idProduct=board.product, bcdDevice=0x0100, iManufacturer=1, iProduct=2,
-            iSerialNumber=3, bNumConfigurations=1, address=board.address, bus=board.bus, port_number=board.ports[-1],
-            port_numbers=board.ports, speed=2,
-        )  # fmt: skip
+            bLength=18,
+            bDescriptorType=1,
+            bcdUSB=0x0110,
+            bDeviceClass=0,
+            bDeviceSubClass=0,
+            bDeviceProtocol=0,
+            bMaxPacketSize0=64,
+            idVendor=0x2E8A,
+            idProduct=board.product,
+            bcdDevice=0x0100,
+            iManufacturer=1,
+            iProduct=2,
+            iSerialNumber=3,
+            bNumConfigurations=1,
+            address=board.address,
+            bus=board.bus,
+            port_number=board.ports[-1],
+            port_numbers=board.ports,
+            speed=2,
+        )
 
     def get_configuration_descriptor(self, board: Board, config: int) -> SimpleNamespace:
         if config:
             raise IndexError
         return SimpleNamespace(
-            bLength=9, bDescriptorType=2, wTotalLength=55, bNumInterfaces=1 + board.has_picoboot, bConfigurationValue=1,
-            iConfiguration=0, bmAttributes=0x80, bMaxPower=0xFA, extra_descriptors=[],
-        )  # fmt: skip
+            bLength=9,
+            bDescriptorType=2,
+            wTotalLength=55,
+            bNumInterfaces=1 + board.has_picoboot,
+            bConfigurationValue=1,
+            iConfiguration=0,
+            bmAttributes=0x80,
+            bMaxPower=0xFA,
+            extra_descriptors=[],
+        )
 
     def get_interface_descriptor(self, board: Board, interface: int, alt: int, config: int) -> SimpleNamespace:
         if alt or config:

@@ -10,15 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from annulus.flash.chips import CHIPS, RP2040, RP2350, Chip
-from annulus.flash.image import (
-    FLASH_START,
-    Image,
-    application,
-    crc32_boot2,
-    parse_image,
-    read_image,
-    require_ours,
-)
+from annulus.flash.image import FLASH_START, Image, application, crc32_boot2, parse_image, read_image, require_ours
 from annulus.flash.update import image_fields, to_uf2
 from annulus.link.messages import SCHEMA_HASH
 from annulus.shipped import shipped
@@ -153,9 +145,17 @@ def test_somebody_elses_program_needs_force() -> None:
     assert "schema 00000001, this host" in refused(uf2(program(said=old)))
     image = parse_image(bytes(uf2(program(said=old))), "x.uf2")  # but it can be looked at
     assert image_fields(image) == {
-        "image": "x.uf2", "firmware": "annulus", "version": "0.0.9", "git": "deadbeef", "board": "rp2040",
-        "bytes": 1024, "protocol": 1, "schema": "00000001", "level": 1, "fits_this_host": False,
-    }  # fmt: skip
+        "image": "x.uf2",
+        "firmware": "annulus",
+        "version": "0.0.9",
+        "git": "deadbeef",
+        "board": "rp2040",
+        "bytes": 1024,
+        "protocol": 1,
+        "schema": "00000001",
+        "level": 1,
+        "fits_this_host": False,
+    }
 
 
 def test_an_image_of_any_level_fits_and_says_which() -> None:

@@ -118,11 +118,7 @@ class Updating(ScriptedController):
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, name, value in (
-        (over_line, "AGAIN_S", 0.01),
-        (update, "BACK_S", 0.4),
-        (update, "LOOK_S", 0.01),
-    ):
+    for module, name, value in ((over_line, "AGAIN_S", 0.01), (update, "BACK_S", 0.4), (update, "LOOK_S", 0.01)):
         monkeypatch.setattr(module, name, value)
 
 

@@ -61,9 +61,7 @@ def failing(what: str, number: int, nth: int = 1) -> Callable[[Board, str], None
 
 def test_a_command_is_the_32_bytes_of_the_boot_roms_header() -> None:
     wire = command(CommandId.WRITE, 7, b"\x00\x01\x00\x10\x00\x10\x00\x00", 4096)
-    assert wire.hex() == (
-        "0bd11f43" "07000000" "05" "08" "0000" "00100000" "00010010" "00100000" "0000000000000000"
-    )  # fmt: skip
+    assert wire.hex() == ("0bd11f4307000000050800000010000000010010001000000000000000000000")
     assert command(CommandId.EXIT_XIP, 1)[8:16] == bytes((6, 0, 0, 0, 0, 0, 0, 0))
 
 

@@ -15,18 +15,22 @@ from annulus.numeric.arrays import Float32Array, FloatArray
 RADIUS_MM = 60.0
 LENS = HeadCamera(0, Camera("fisheye", 360, 360, 150.0, 150.0, 179.5, 179.5, (0.02, -0.004, 0.0, 0.0)))
 TURN = Rotation.from_rotvec([0.006, -0.004, 0.0]).as_matrix()
-SLIDE = FringeProjector(
-    "rings", (0.3, -0.2, -40.0), tuple(tuple(row) for row in TURN), 7.0, 0.7, 0.0, RADIUS_MM
-)  # fmt: skip
+SLIDE = FringeProjector("rings", (0.3, -0.2, -40.0), tuple(tuple(row) for row in TURN), 7.0, 0.7, 0.0, RADIUS_MM)
 FIELD_DEG = (22.0, 40.0)
 EDGE_DEG = 3.0  # beside it: more than a pixel sees, and a groove's depth moves
 
 
 def drawn(
-    poses: FloatArray, *, slide: FringeProjector = SLIDE, groove: tuple[float, float, float, float] | None = None,
-    texture: float = 0.2, noise: float = 0.7, blur_px: float = 0.8, seed: int = 1,
+    poses: FloatArray,
+    *,
+    slide: FringeProjector = SLIDE,
+    groove: tuple[float, float, float, float] | None = None,
+    texture: float = 0.2,
+    noise: float = 0.7,
+    blur_px: float = 0.8,
+    seed: int = 1,
     over: int = 2,
-) -> Float32Array:  # fmt: skip
+) -> Float32Array:
     """(N, H, W) grey levels, linear. poses : (N, 6) lean (rad) and place (mm) of the head. groove : z0, z1, half its
     arc (deg, about phi = 0), depth. over : rays either way in a pixel."""
     camera, random = LENS.camera, np.random.default_rng(seed)

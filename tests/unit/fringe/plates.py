@@ -19,9 +19,16 @@ SPECKS = gaussian_filter(np.random.default_rng(2).normal(0, 1, (128, 128)), 1.0,
 
 
 def drawn(
-    moved_mm: FloatArray, height_mm: float = 0.0, *, noise: float = 0.0, texture: float = 0.0, specks: float = 0.0,
-    blur_px: float = 0.0, head: HeadCamera = LEFT, seed: int = 1,
-) -> Float32Array:  # fmt: skip
+    moved_mm: FloatArray,
+    height_mm: float = 0.0,
+    *,
+    noise: float = 0.0,
+    texture: float = 0.0,
+    specks: float = 0.0,
+    blur_px: float = 0.0,
+    head: HeadCamera = LEFT,
+    seed: int = 1,
+) -> Float32Array:
     """(N, H, W) grey levels, linear. moved_mm : (N,) along x. texture : share by which albedo varies, 6 mm a wave;
     specks : the same without a period."""
     camera, random = head.camera, np.random.default_rng(seed)

@@ -14,10 +14,7 @@ FRINGE_MM = DISTANCE_MM * (1 - 1 / 1.2)  # of height: 20 mm / (0.04 (100 - h)) i
 def told(height_mm: float, specks: float) -> tuple[float, float, float] | None:
     motion = MOVED[:, None] * np.array([1.0, 0.0, 0.0])
     views = [
-        (
-            View.of(head, SLIDE, motion),
-            spline(drawn(MOVED, height_mm, noise=0.5, specks=specks, head=head)),
-        )
+        (View.of(head, SLIDE, motion), spline(drawn(MOVED, height_mm, noise=0.5, specks=specks, head=head)))
         for head in (LEFT, RIGHT)
     ]
     return told_elsewhere(views, GRID, drift_sigma=0.1)

@@ -7,9 +7,12 @@ from annulus.fringe import FringeProjector
 from annulus.fringe.projector import wave
 
 STRIPES = {
-    "kind": "stripes", "centre_mm": [20, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "period": 0.04,
+    "kind": "stripes",
+    "centre_mm": [20, 0, 0],
+    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "period": 0.04,
     "phase0": 0.6,
-}  # fmt: skip
+}
 RINGS = {**STRIPES, "kind": "rings", "centre_mm": [0, 0, -60], "period_mm": 8.0, "nominal_radius_mm": 101.6}
 
 

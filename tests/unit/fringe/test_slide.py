@@ -37,9 +37,26 @@ def test_defocus_takes_the_finest_rings_first() -> None:
 def test_the_command_draws_it_to_scale(tmp_path: Path) -> None:
     run = CliRunner().invoke(
         app,
-        ["design", "--fringe", "--pipe-mm", "203.2", "--period-mm", "8", "--distance-mm", "60", "--inner-deg", "44",
-         "--outer-deg", "76", "--projector-f-mm", "6", "--json", "-o", str(tmp_path)],
-    )  # fmt: skip
+        [
+            "design",
+            "--fringe",
+            "--pipe-mm",
+            "203.2",
+            "--period-mm",
+            "8",
+            "--distance-mm",
+            "60",
+            "--inner-deg",
+            "44",
+            "--outer-deg",
+            "76",
+            "--projector-f-mm",
+            "6",
+            "--json",
+            "-o",
+            str(tmp_path),
+        ],
+    )
     assert run.exit_code == 0, run.output
     told, said = json.loads(run.stdout), json.loads((tmp_path / "slide.json").read_text())
     picture = cv2.imread(str(tmp_path / "slide.png"), cv2.IMREAD_GRAYSCALE)

@@ -27,9 +27,14 @@ def seen(world: World) -> tuple[list[Eye], Shots]:
     ]
     whole = world.camera
     camera = replace(
-        whole, width=whole.width // 2, height=whole.height // 2, fx=whole.fx / 2, fy=whole.fy / 2,
-        cx=(whole.cx + 0.5) / 2 - 0.5, cy=(whole.cy + 0.5) / 2 - 0.5,
-    )  # fmt: skip
+        whole,
+        width=whole.width // 2,
+        height=whole.height // 2,
+        fx=whole.fx / 2,
+        fy=whole.fy / 2,
+        cx=(whole.cx + 0.5) / 2 - 0.5,
+        cy=(whole.cy + 0.5) / 2 - 0.5,
+    )
     return [Eye(HeadCamera(0, camera), light.slides[0].slide)], Shots.single(np.array(grey))
 
 

@@ -18,9 +18,7 @@ def found(texture: float, drift: float) -> tuple[FloatArray, FloatArray]:
     for k in range(SCANS):
         images = spline(drawn(TRUE, 1.0, noise=1.0, texture=texture, seed=100 + k))
         said = TRUE + np.random.default_rng(k).normal(0, ODOMETER_MM, len(TRUE)) * (TRUE > 0)
-        steps = find_steps(
-            LEFT, SLIDE, said, AHEAD, images, GRID, odometer_sigma_mm=ODOMETER_MM, drift_sigma=drift
-        )  # fmt: skip
+        steps = find_steps(LEFT, SLIDE, said, AHEAD, images, GRID, odometer_sigma_mm=ODOMETER_MM, drift_sigma=drift)
         off.append((steps.place_mm - TRUE)[1:])
         sigma.append(steps.sigma_mm[1:])
     return np.concatenate(off), np.concatenate(sigma)

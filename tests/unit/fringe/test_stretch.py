@@ -54,9 +54,10 @@ def test_a_plain_wall_or_one_wave_tells_nothing(texture: float) -> None:
 
 
 def test_a_motion_too_short_to_be_seen_tells_nothing(images: Float32Array) -> None:
-    assert stretch(
-        View.of(LEFT, SLIDE, TRUE[:3, None] * AHEAD), images[:3], GRID, FLAT, TRUE[:3], AHEAD
-    ) == (1.0, np.inf)  # fmt: skip
+    assert stretch(View.of(LEFT, SLIDE, TRUE[:3, None] * AHEAD), images[:3], GRID, FLAT, TRUE[:3], AHEAD) == (
+        1.0,
+        np.inf,
+    )
 
 
 def test_a_wall_without_heights_tells_nothing(images: Float32Array) -> None:

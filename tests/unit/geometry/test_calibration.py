@@ -48,21 +48,29 @@ def cameras(draw: st.DrawFn) -> Camera:
     distortion = tuple(draw(st.lists(numbers, min_size=count, max_size=count)))
     mirror = Mirror((*draw(st.tuples(numbers, numbers)), 40.0), 10.0, draw(st.sampled_from(["back", "ahead"])))
     return Camera(
-        model, draw(st.integers(16, 16384)), draw(st.integers(16, 16384)), draw(st.floats(1.0, 1e5)),
-        draw(st.floats(1.0, 1e5)), draw(numbers), draw(numbers), distortion,
+        model,
+        draw(st.integers(16, 16384)),
+        draw(st.integers(16, 16384)),
+        draw(st.floats(1.0, 1e5)),
+        draw(st.floats(1.0, 1e5)),
+        draw(numbers),
+        draw(numbers),
+        distortion,
         mirror if model == "mirror" else None,
-    )  # fmt: skip
+    )
 
 
 @st.composite
 def rotations(draw: st.DrawFn) -> Any:
     q = np.array(draw(st.tuples(st.floats(0.1, 1.0), numbers, numbers, numbers)))
     w, x, y, z = q / np.linalg.norm(q)
-    rows = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    rows = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     return tuple(tuple(float(v) for v in row) for row in rows)
 
 
@@ -91,9 +99,18 @@ def calibrations(draw: st.DrawFn, several: bool) -> Calibration:
     if pattern is not None:
         moved, known = (0.0, 0.0, 0.0), None
     return Calibration(
-        draw(cameras()), colours, tuple(rings), draw(st.floats(1.0, 5000.0)), covariance, corrections, others, first,
-        pattern, translucency_mm=moved, translucency_sigma_mm=known,
-    )  # fmt: skip
+        draw(cameras()),
+        colours,
+        tuple(rings),
+        draw(st.floats(1.0, 5000.0)),
+        covariance,
+        corrections,
+        others,
+        first,
+        pattern,
+        translucency_mm=moved,
+        translucency_sigma_mm=known,
+    )
 
 
 @pytest.mark.parametrize("several", [False, True])

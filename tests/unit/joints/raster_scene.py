@@ -61,9 +61,11 @@ def scan(surface: Surface, rng: np.random.Generator, noise: float = 0.3, angles:
     angle = np.arange(angles) * 2 * math.pi / angles
     rows, columns = np.meshgrid(
         (JOINT + truth.along * (z - truth.joint_mm)) / STEP,
-        np.degrees(truth.sense * angle) + truth.shift_deg, indexing="ij",
-    )  # fmt: skip
+        np.degrees(truth.sense * angle) + truth.shift_deg,
+        indexing="ij",
+    )
     at = [rows, columns % 360 * ANGLES / 360]
-    values = np.stack([map_coordinates(np.pad(one, ((0, 0), (0, 2)), mode="wrap"), at, order=1, mode="nearest")
-                       for one in channels])  # fmt: skip
+    values = np.stack(
+        [map_coordinates(np.pad(one, ((0, 0), (0, 2)), mode="wrap"), at, order=1, mode="nearest") for one in channels]
+    )
     return Raster(angle, z, values + noise * rng.normal(size=values.shape)), truth

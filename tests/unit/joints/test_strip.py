@@ -13,9 +13,17 @@ from annulus.joints import ArrayVolume, StripImage, strip
 from annulus.vocabulary import AnnulusError
 
 STRIP = Scene(
-    radius=30.0, wall=5.6, centre=(-9.0, 19.0), plane=18.0, bead=(8.0, 2.2), hilo=0.0, void=None, grain=None, sawn=8.0,
+    radius=30.0,
+    wall=5.6,
+    centre=(-9.0, 19.0),
+    plane=18.0,
+    bead=(8.0, 2.2),
+    hilo=0.0,
+    void=None,
+    grain=None,
+    sawn=8.0,
     shape=(110, 128, 128),
-)  # fmt: skip
+)
 
 
 def seen(scene: Scene, seed: int) -> StripImage:

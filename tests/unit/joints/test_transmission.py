@@ -93,8 +93,9 @@ def test_the_command_writes_numbers_and_names_what_is_wrong(tmp_path: Path) -> N
     strength.write_text("angle_deg,energy_j\n" + "\n".join(f"{40 * k},{k}" for k in range(8)))
     with pytest.raises(AnnulusError, match="has not the 8 dogbones"):
         run(
-            app, ["joint", "transmission", str(tmp_path / "o"), str(good), "--strength", str(strength)],
+            app,
+            ["joint", "transmission", str(tmp_path / "o"), str(good), "--strength", str(strength)],
             catch_exceptions=False,
-        )  # fmt: skip
+        )
     with pytest.raises(AnnulusError, match=r"maps\.npz"):
         run(app, ["joint", "transmission", str(tmp_path), str(good), "--zero-deg", "0"], catch_exceptions=False)

@@ -70,9 +70,18 @@ class Score:
 
 class Bench:
     def __init__(
-        self, faults: Faults, *, seed: int = 0, ratio: int = 4, offset_ms: float = -28.0, lag_ms: float = 6.0,
-        jitter_ms: float = 0.3, late_ms: float = 1.0, first: int = 1, **options: Any,
-    ) -> None:  # fmt: skip
+        self,
+        faults: Faults,
+        *,
+        seed: int = 0,
+        ratio: int = 4,
+        offset_ms: float = -28.0,
+        lag_ms: float = 6.0,
+        jitter_ms: float = 0.3,
+        late_ms: float = 1.0,
+        first: int = 1,
+        **options: Any,
+    ) -> None:
         self.faults, self.ratio, self.offset_ms, self.lag_ms = faults, ratio, offset_ms, lag_ms
         self.jitter_ms, self.late_ms = jitter_ms, late_ms
         self.random = random.Random(seed)
@@ -112,9 +121,17 @@ class Bench:
             EdgeFlag.PREAMBLE if self.faults.preamble(k) else EdgeFlag(0)
         )
         flash = Flash(
-            EdgeIndex(self.index), Tick(self.index * 4_000_000), Slot(k % (self.ratio + 1)), self.lamp(k), 300_000,
-            500_000, k, 1, self.epoch, flags,
-        )  # fmt: skip
+            EdgeIndex(self.index),
+            Tick(self.index * 4_000_000),
+            Slot(k % (self.ratio + 1)),
+            self.lamp(k),
+            300_000,
+            500_000,
+            k,
+            1,
+            self.epoch,
+            flags,
+        )
         self.index += 1
         if self.faults.edge_lost(k):
             return []

@@ -52,9 +52,17 @@ class Head:
                 self.navigation.heard(Rebooted(7, 7, "its events begin anew"))
             edge = k - self.since
             flash = Flash(
-                EdgeIndex(edge), Tick(edge * 4_000_000), Slot(k % 5), Lamp.LED if k % 5 == 4 else Lamp.PROJECTOR, 1, 1,
-                20 * edge, 1, 7, EdgeFlag(0),
-            )  # fmt: skip
+                EdgeIndex(edge),
+                Tick(edge * 4_000_000),
+                Slot(k % 5),
+                Lamp.LED if k % 5 == 4 else Lamp.PROJECTOR,
+                1,
+                1,
+                20 * edge,
+                1,
+                7,
+                EdgeFlag(0),
+            )
             if rng.random() < 0.97:
                 raw = Edge(edge, flash.tick, k % 5, flash.lamp, 1, 1, 20 * edge, 1, flash.flags)
                 self.navigation.heard(EventReceived(raw, k % 65536, 7, now, False))

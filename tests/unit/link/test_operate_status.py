@@ -27,8 +27,10 @@ def test_what_is_in_force_is_read_back_and_shown_in_microseconds() -> None:
         said = operate.status(head.url)
     assert (said["version"], said["serial_number"], said["level"]) == ("0.1.0", "0000000000000000", LEVEL)
     assert (said["carrier"], said["vbus"], said["interlock"]) == (
-        "unknown (VBUS not sensed)", "unknown", "closed (GP7)",
-    )  # fmt: skip
+        "unknown (VBUS not sensed)",
+        "unknown",
+        "closed (GP7)",
+    )
     assert (said["ratio"], said["configured_period_us"], said["projector_width_us"]) == (4, 40000.0, 5000.0)
     assert (said["image_slot"], said["image"], said["image_in_flash"]) == (0, "confirmed", "whole")
     assert said["host_timeout_ms"] == 500 and said["tolerance_permille"] == 50

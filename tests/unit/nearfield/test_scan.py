@@ -90,9 +90,22 @@ def test_a_stage_that_stands_still_or_goes_too_far_ends_it(tmp_path: Path) -> No
 def test_killed_interrupted_and_resumed_nothing_is_lost_or_measured_twice(tmp_path: Path) -> None:
     out = tmp_path / "raster.npz"
     command = [
-        str(Path(sys.executable).with_name("annulus")), "joint", "scan", "--twin", "--angles", "6", "--step-mm", "4",
-        "--averages", "1", "--settle-ms", "300", "-o", str(out), "--resume",  # slow: it must not end first
-    ]  # fmt: skip
+        str(Path(sys.executable).with_name("annulus")),
+        "joint",
+        "scan",
+        "--twin",
+        "--angles",
+        "6",
+        "--step-mm",
+        "4",
+        "--averages",
+        "1",
+        "--settle-ms",
+        "300",
+        "-o",
+        str(out),
+        "--resume",  # slow: it must not end first
+    ]
     points = log_of(out)
     for how in (signal.SIGKILL, signal.SIGINT):
         before = points.read_bytes().count(b"\n") if points.exists() else 3
@@ -157,9 +170,15 @@ def test_other_settings_another_boot_and_a_full_disk_are_one_line(tmp_path: Path
 
 
 PLAN_FIELDS = {
-    "angles": 5, "first_mm": 10.0, "last_mm": 30.0, "step_mm": 4.0, "averages": 2, "settle_ms": 0.0,
-    "steps_per_turn": 400, "step_us": 1000.0,
-}  # fmt: skip
+    "angles": 5,
+    "first_mm": 10.0,
+    "last_mm": 30.0,
+    "step_mm": 4.0,
+    "averages": 2,
+    "settle_ms": 0.0,
+    "steps_per_turn": 400,
+    "step_us": 1000.0,
+}
 
 
 def test_the_command_wants_one_bench_and_sane_settings(tmp_path: Path) -> None:

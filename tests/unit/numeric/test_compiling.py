@@ -128,10 +128,13 @@ def test_what_a_kernel_is_known_by_is_the_same_in_every_process() -> None:
     said = [
         subprocess.run(
             [sys.executable, "-c", ALL.format(reverse=reverse)],
-            env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True,
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout
         for reverse, seed in ((False, "1"), (True, "2"))
-    ]  # fmt: skip
+    ]
     assert said[0] == said[1]
     assert len(json.loads(said[0])) > 30
 

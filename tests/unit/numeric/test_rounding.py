@@ -27,7 +27,7 @@ from annulus.numeric.rounding import (
     span,
     stored,
     stored_k2,
-)  # fmt: skip
+)
 
 QUANTITIES = st.sampled_from([DISTANCE, MEASURE, EXTENT, AREA, ANGLE, ARC, PERCENT, SHARE])
 VALUES = st.floats(-1e7, 1e7)
@@ -124,6 +124,6 @@ def test_the_dial_repeats_and_is_off_by_half_a_tick_at_most(angle: float) -> Non
         (clock_face(1.25), "12:05"),
         (clock_face(90.0), "3:00"),
     ],
-)  # fmt: skip
+)
 def test_how_a_thing_is_said(text: str, expected: str) -> None:
     assert text == expected

@@ -39,9 +39,10 @@ def test_the_formats_own_tool_finds_nothing_wrong(tmp_path):
     assert checker.check_device_meta_data(data.meta_data_device)
     assert checker.check_binary_data(data.binary_time_series_data)
     missing = [
-        tag.tag for tag in pacfish.MetadataAcquisitionTags.TAGS
+        tag.tag
+        for tag in pacfish.MetadataAcquisitionTags.TAGS
         if tag.mandatory and data.meta_data_acquisition.get(tag.tag) is None
-    ]  # fmt: skip
+    ]
     assert missing == []
     assert len(data.get_detector_position()) == 12
 

@@ -36,10 +36,17 @@ def write(path: Path, codec: Codec = Codec.ZSTD, close: bool = True) -> Path:
     )
     for index in range(FRAMES):
         label = {
-            "index": index, "label": "led" if index % 5 == 4 else "projector", "reason": "", "slot": index % 5,
-            "z_mm": None if index == 7 else 2.5 * index, "roll_deg": 1.25, "encoding": "bayer_rggb8", "width": W,
-            "height": H, "timestamp_ns": 10_000 * index,
-        }  # fmt: skip
+            "index": index,
+            "label": "led" if index % 5 == 4 else "projector",
+            "reason": "",
+            "slot": index % 5,
+            "z_mm": None if index == 7 else 2.5 * index,
+            "roll_deg": 1.25,
+            "encoding": "bayer_rggb8",
+            "width": W,
+            "height": H,
+            "timestamp_ns": 10_000 * index,
+        }
         writer.frame(label, image_of(index), 10_000 * index)
         writer.note("/mark", {"text": f"mark {index}"}, 10_000 * index + 1)
     writer.flush()

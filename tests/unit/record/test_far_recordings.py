@@ -45,10 +45,17 @@ def image_of(index: int) -> np.ndarray:
 def write(path: Path, first: int = 0, count: int = FRAMES, codec: Codec = Codec.ZSTD, part: Part | None = None) -> Path:
     with RecordingWriter(
         path, calibration={"a": 1}, configuration={"b": 2}, now_ns=0, codec=codec, part=part
-    ) as writer:  # fmt: skip
+    ) as writer:
         for index in range(first, first + count):
-            label = {"index": index, "label": "projector" if index % 5 else "led", "z_mm": 0.5 * index,
-                     "encoding": "mono8", "width": W, "height": H, "slot": index % 5}  # fmt: skip
+            label = {
+                "index": index,
+                "label": "projector" if index % 5 else "led",
+                "z_mm": 0.5 * index,
+                "encoding": "mono8",
+                "width": W,
+                "height": H,
+                "slot": index % 5,
+            }
             writer.note("/drops", {"all": {"lost": index}}, index, index)
             writer.frame(label, image_of(index), index)
     return path
@@ -60,9 +67,8 @@ def same(one: Recording, other: Recording) -> bool:
     assert list(one.timed_notes("/drops")) == list(other.timed_notes("/drops"))
     one.plan(one.frames)
     return all(
-        np.array_equal(one.read_raw(a)[0], other.read_raw(b)[0])
-        for a, b in zip(one.frames, other.frames, strict=True)
-    )  # fmt: skip
+        np.array_equal(one.read_raw(a)[0], other.read_raw(b)[0]) for a, b in zip(one.frames, other.frames, strict=True)
+    )
 
 
 def label_of(recording: Recording, frame: RecordedFrame) -> object:

@@ -19,17 +19,27 @@ SIDE = 256
 
 def write(path: Path, first: int, frames: int, part: Part | None = None, job: str = "", close: bool = True) -> Path:
     writer = RecordingWriter(
-        path, calibration={"provenance": {"camera": {"utc": "2026-11-01T00:00:00+00:00"}}},
-        configuration={"job": {"site": "Elm Street", "pipe": "P-1"}}, now_ns=0, codec=Codec.RAW,
-        clock=Clock(0, START_NS), part=part,
-    )  # fmt: skip
+        path,
+        calibration={"provenance": {"camera": {"utc": "2026-11-01T00:00:00+00:00"}}},
+        configuration={"job": {"site": "Elm Street", "pipe": "P-1"}},
+        now_ns=0,
+        codec=Codec.RAW,
+        clock=Clock(0, START_NS),
+        part=part,
+    )
     picture = np.random.default_rng(1).integers(0, 255, (SIDE, SIDE), dtype=np.uint8)
     for index in range(first, first + frames):
         at = 40_000_000 * index
         label = {
-            "index": index, "label": "projector", "reason": "", "z_mm": None if index < 3 else 2.0 * index,
-            "encoding": "bayer_rggb8", "width": SIDE, "height": SIDE, "timestamp_ns": at,
-        }  # fmt: skip
+            "index": index,
+            "label": "projector",
+            "reason": "",
+            "z_mm": None if index < 3 else 2.0 * index,
+            "encoding": "bayer_rggb8",
+            "width": SIDE,
+            "height": SIDE,
+            "timestamp_ns": at,
+        }
         writer.frame(label, picture, at)
     if job:
         writer.note("/job", {"pipe": job}, 40_000_000 * (first + frames - 1))

@@ -37,8 +37,16 @@ def write(path: Path, codec: Codec = Codec.ZSTD, count: int = FRAMES) -> Path:
     with RecordingWriter(path, calibration={"a": 1}, configuration={"b": 2}, now_ns=5, codec=codec) as writer:
         for n in range(count):
             for camera in (0, 1):
-                label = {"index": n, "camera": camera, "label": "projector" if n % 5 else "led", "z_mm": 0.5 * n,
-                         "roll_deg": 0.1 * n, "encoding": "bayer_rggb8", "width": W, "height": H}  # fmt: skip
+                label = {
+                    "index": n,
+                    "camera": camera,
+                    "label": "projector" if n % 5 else "led",
+                    "z_mm": 0.5 * n,
+                    "roll_deg": 0.1 * n,
+                    "encoding": "bayer_rggb8",
+                    "width": W,
+                    "height": H,
+                }
                 writer.frame(label, image_of(2 * n + camera), 1000 * n + camera)
             if n % 3 == 0:
                 writer.note("/mark", {"n": n, "raw": b"abc"}, 1000 * n, n)
@@ -59,8 +67,11 @@ def test_an_index_says_what_a_walk_finds(
         said = sorted_out(walk)
         assert sorted_out(found) == said and not walk.damage
         assert (found.chunks, found.attachments, found.channels, found.schemas) == (
-            walk.chunks, walk.attachments, walk.channels, walk.schemas,
-        )  # fmt: skip
+            walk.chunks,
+            walk.attachments,
+            walk.channels,
+            walk.schemas,
+        )
         for topic, messages in said[2].items():
             if topic != LABEL_TOPIC:
                 told = [from_json(content) for _, _, content in found.notes.of(topic, file)]
@@ -157,9 +168,9 @@ def many(said: dict[str, Any]) -> None:
     said["rows"] = 1 << 60
 
 
-@pytest.mark.parametrize("change", [
-    other_label, other_place, other_camera, other_sequence, no_labels, far_away, many, dict.clear,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change", [other_label, other_place, other_camera, other_sequence, no_labels, far_away, many, dict.clear]
+)
 def test_a_lying_index_gives_no_wrong_label(tmp_path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     path = write(tmp_path / "a.mcap")
     true = open_recording(path)

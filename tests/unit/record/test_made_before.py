@@ -52,10 +52,17 @@ def test_a_recording() -> None:
     assert list(recording.notes("/event")) == expected["events"]
     assert list(recording.notes("/telemetry")) == expected["telemetry"]
     profiles = [
-        [p.frame, p.z_mm, [p.pose.rx, p.pose.ry, p.pose.tx, p.pose.ty, p.pose.roll], p.residual_mm, p.lean_sigma_deg,
-         len(p.ring), *map(digest, (p.points_mm, p.colour, p.ring, p.direction, p.sigma_mm))]
+        [
+            p.frame,
+            p.z_mm,
+            [p.pose.rx, p.pose.ry, p.pose.tx, p.pose.ty, p.pose.roll],
+            p.residual_mm,
+            p.lean_sigma_deg,
+            len(p.ring),
+            *map(digest, (p.points_mm, p.colour, p.ring, p.direction, p.sigma_mm)),
+        ]
         for p in map(Profile.from_dict, recording.notes("/profile"))
-    ]  # fmt: skip
+    ]
     assert plain(profiles) == expected["profiles"]
     scan = open_scan(BEFORE / "recording.mcap")
     assert scan.calibration == Calibration.from_dict(expected["calibration"])
@@ -89,11 +96,19 @@ def test_a_calibration(name: str) -> None:
     camera = asdict(read.camera)
     assert camera.pop("sensor_crop") is None  # nobody wrote it then ..
     assert camera.pop("colour_shift_px") == ()  # .. nor this
-    assert plain({
-        "camera": camera, "colours": read.colours, "rings": [asdict(ring) for ring in read.rings],
-        "pipe_radius_mm": read.pipe_radius_mm, "covariance": read.covariance and digest(np.array(read.covariance)),
-        "corrections": read.corrections and [asdict(ring) for ring in read.corrections],
-    }) == EXPECTED[name]  # fmt: skip
+    assert (
+        plain(
+            {
+                "camera": camera,
+                "colours": read.colours,
+                "rings": [asdict(ring) for ring in read.rings],
+                "pipe_radius_mm": read.pipe_radius_mm,
+                "covariance": read.covariance and digest(np.array(read.covariance)),
+                "corrections": read.corrections and [asdict(ring) for ring in read.corrections],
+            }
+        )
+        == EXPECTED[name]
+    )
     assert read.only() is read and len(read.cameras) == 1
     again = read.to_dict()
     file = json.loads((BEFORE / f"{name}.json").read_text())
@@ -120,7 +135,11 @@ def test_raw_sound(name: str) -> None:
     expected = dict(EXPECTED[name])
     record = load_acoustic(BEFORE / name)
     assert [list(record.signals.shape), digest(record.signals)] == expected.pop("signals")
-    assert plain({key: getattr(record, key) for key in expected if key != "angles_deg"} | {
-        "angles_deg": list(record.angles_deg)
-    }) == expected  # fmt: skip
+    assert (
+        plain(
+            {key: getattr(record, key) for key in expected if key != "angles_deg"}
+            | {"angles_deg": list(record.angles_deg)}
+        )
+        == expected
+    )
     assert not math.isnan(record.t0_s)

@@ -27,8 +27,14 @@ def write(path: Path, marks: list[Any], first: int = 0, part: Part | None = None
     """Four frames 10 mm apart, the last under LED, then the marks."""
     with RecordingWriter(path, calibration=None, configuration={}, now_ns=5, part=part) as writer:
         for index in range(first, first + 4):
-            label = {"index": index, "label": "led" if index == first + 3 else "projector", "z_mm": 10.0 * index,
-                     "encoding": "bayer_rggb8", "width": W, "height": H}  # fmt: skip
+            label = {
+                "index": index,
+                "label": "led" if index == first + 3 else "projector",
+                "z_mm": 10.0 * index,
+                "encoding": "bayer_rggb8",
+                "width": W,
+                "height": H,
+            }
             writer.frame(label, np.tile(np.arange(W, dtype=np.uint8), (H, 1)), 1000 * index)
         for at, mark in enumerate(marks):
             writer.note("/mark", mark if isinstance(mark, dict) else {"value": mark, "z_mm": "here"}, 5000 + at)
@@ -65,11 +71,18 @@ def test_marks_come_back_by_distance_with_their_pictures(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "bad",
     [
-        "text", {**NOTHING, "z_mm": True}, {**NOTHING, "z_mm": 1e300}, {**NOTHING, "text": 3},
-        {**NOTHING, "text": "x" * 501}, {**NOTHING, "clock_deg": 361.0}, {**NOTHING, "clock_deg": "3:00"},
-        {**NOTHING, "frame": -1}, {**NOTHING, "frame": 2.5}, {**NOTHING, "camera": 256},
+        "text",
+        {**NOTHING, "z_mm": True},
+        {**NOTHING, "z_mm": 1e300},
+        {**NOTHING, "text": 3},
+        {**NOTHING, "text": "x" * 501},
+        {**NOTHING, "clock_deg": 361.0},
+        {**NOTHING, "clock_deg": "3:00"},
+        {**NOTHING, "frame": -1},
+        {**NOTHING, "frame": 2.5},
+        {**NOTHING, "camera": 256},
     ],
-)  # fmt: skip
+)
 def test_a_malformed_mark_is_counted_and_costs_nothing_else(bad: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [NOTHING, bad, {**NOTHING, "text": "b"}])
     marks = read_marks(open_recording(path))
@@ -80,11 +93,17 @@ def test_a_malformed_mark_is_counted_and_costs_nothing_else(bad: Any, tmp_path: 
 @pytest.mark.parametrize(
     "photo",
     [
-        b"", b"\xff\xd8", jpeg()[:-200], b"\xff\xd8" + bytes(70_000), "text", 7,
-        bytes(cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1]), jpeg(8, 5000),
+        b"",
+        b"\xff\xd8",
+        jpeg()[:-200],
+        b"\xff\xd8" + bytes(70_000),
+        "text",
+        7,
+        bytes(cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1]),
+        jpeg(8, 5000),
     ],
     ids=["empty", "head only", "cut short", "large", "text", "number", "png", "wide"],
-)  # fmt: skip
+)
 def test_a_photo_that_is_none_leaves_the_mark_with_its_frame(photo: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [{**NOTHING, "photo": photo, "frame": 3}, {**NOTHING, "photo": photo}])
     (beside, alone), left_out = observations_of(open_scan(path))

@@ -63,8 +63,9 @@ def test_a_scan_in_parts_is_read_as_one_given_the_first_or_the_folder(tmp_path: 
     recorder = Recorder(tmp_path, Bounds(part_s=1.0)).record(110)
     recorder.writer.close()
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        *(f"scan-00{number}.mcap" for number in (2, 3, 4, 5)), "scan.mcap"
-    ]  # fmt: skip
+        *(f"scan-00{number}.mcap" for number in (2, 3, 4, 5)),
+        "scan.mcap",
+    ]
     assert is_whole(open_recording(tmp_path / "scan.mcap"), 110)
     assert recorder.writer.written["/frame"] == 110 and not recorder.writer.lost
     for way in (tmp_path, tmp_path / "scan.mcap"):
@@ -95,9 +96,11 @@ def test_each_part_can_be_read_alone(tmp_path: Path) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(
-    st.floats(0.05, 3.0), st.one_of(st.just(0.0), st.floats(5e3, 1e5)), st.lists(st.integers(0, 40), max_size=4),
+    st.floats(0.05, 3.0),
+    st.one_of(st.just(0.0), st.floats(5e3, 1e5)),
+    st.lists(st.integers(0, 40), max_size=4),
     st.integers(0, 2),
-)  # fmt: skip
+)
 def test_wherever_parts_end_and_recorders_die_nothing_that_was_taken_is_lost(
     tmp_path_factory: pytest.TempPathFactory, part_s: float, part_bytes: float, lives: list[int], left: int
 ) -> None:

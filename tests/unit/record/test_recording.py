@@ -38,9 +38,14 @@ H, W = 48, 64
 
 def label_of(index: int, label: str = "projector") -> dict:
     return {
-        "index": index, "label": label, "reason": "", "z_mm": 2.5 * index,
-        "encoding": "bayer_rggb8", "width": W, "height": H,
-    }  # fmt: skip
+        "index": index,
+        "label": label,
+        "reason": "",
+        "z_mm": 2.5 * index,
+        "encoding": "bayer_rggb8",
+        "width": W,
+        "height": H,
+    }
 
 
 def image_of(index: int) -> np.ndarray:

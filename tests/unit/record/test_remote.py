@@ -33,10 +33,13 @@ def store(running: ObjectStore, monkeypatch: pytest.MonkeyPatch) -> Iterator[Obj
     running.fault = lambda number, asked: None
 
 
-@pytest.mark.parametrize("text, expected", [
-    ("s3://a/b/c.mcap", ("c.mcap", "c", ".mcap", "s3://a/b", "s3://a/b/d")),
-    ("gs://a/c", ("c", "c", "", "gs://a", "gs://a/d")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("s3://a/b/c.mcap", ("c.mcap", "c", ".mcap", "s3://a/b", "s3://a/b/d")),
+        ("gs://a/c", ("c", "c", "", "gs://a", "gs://a/d")),
+    ],
+)
 def test_a_url_has_names_as_a_path_has(text: str, expected: tuple[str, ...]) -> None:
     url = where(text)
     assert isinstance(url, Url) and pickle.loads(pickle.dumps(url)) == url

@@ -183,9 +183,11 @@ def test_a_png_with_a_flipped_bit_is_refused(folder: Path) -> None:
 
 
 CALIBRATION = Calibration(
-    Camera("pinhole", 64, 48, 20.0, 20.0, 31.5, 23.5), "RGB",
-    (Cone(0.3, (0.0, 0.0, 1.0), (0.0, 0.0, -50.0)), Cone(0.4, (0.0, 0.0, 1.0), (0.0, 0.0, -50.0))), 76.2,
-)  # fmt: skip
+    Camera("pinhole", 64, 48, 20.0, 20.0, 31.5, 23.5),
+    "RGB",
+    (Cone(0.3, (0.0, 0.0, 1.0), (0.0, 0.0, -50.0)), Cone(0.4, (0.0, 0.0, 1.0), (0.0, 0.0, -50.0))),
+    76.2,
+)
 
 
 def test_a_calibration_survives_the_disk(tmp_path: Path) -> None:

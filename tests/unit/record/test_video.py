@@ -74,9 +74,14 @@ def test_a_range_and_a_stride_keep_the_frames_numbers(video: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("heading", "unit", "mm"),
-    [("chainage", "mm", 1), ("chainage_m", None, 1000), ("Chainage [ft]", "ft", 304.8), ("chainage", "in", 25.4),
-     (" chainage (cm)", None, 10)],
-)  # fmt: skip
+    [
+        ("chainage", "mm", 1),
+        ("chainage_m", None, 1000),
+        ("Chainage [ft]", "ft", 304.8),
+        ("chainage", "in", 25.4),
+        (" chainage (cm)", None, 10),
+    ],
+)
 def test_places_come_from_a_table_even_between_its_rows(
     heading: str, unit: str | None, mm: float, video: Path, tmp_path: Path
 ) -> None:

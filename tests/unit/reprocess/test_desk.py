@@ -93,9 +93,10 @@ def test_every_item_comes_back_once_whatever_asking_for_some_of_them_raises(
 ) -> None:
     said = iter(script.split(","))
     library = SimpleNamespace(
-        Client=lambda *_, **__: Client(loop, said), client=SimpleNamespace(ClosedClientError=OSError),
+        Client=lambda *_, **__: Client(loop, said),
+        client=SimpleNamespace(ClosedClientError=OSError),
         KilledWorker=KilledWorker,
-    )  # fmt: skip
+    )
     monkeypatch.setattr(cluster, "need", lambda name: library)
     monkeypatch.setattr(cluster, "LINGER_S", 0.001)
     told = [*Dask("tcp://127.0.0.1:8786", patience_s=0.1)(Toil(tmp_path), range(ITEMS))]

@@ -31,9 +31,13 @@ def calibration(folder: Path, **changes: Any) -> Path:
         for one in (LEFT, RIGHT)
     ]
     data = {
-        "format": "annulus-calibration/2", "cameras": heads, "transfer": {}, "distance_mm": DISTANCE_MM,
-        "pattern": {"kind": "fringe", "projector": projector_to_dict(SLIDE)}, **changes,
-    }  # fmt: skip
+        "format": "annulus-calibration/2",
+        "cameras": heads,
+        "transfer": {},
+        "distance_mm": DISTANCE_MM,
+        "pattern": {"kind": "fringe", "projector": projector_to_dict(SLIDE)},
+        **changes,
+    }
     path = folder / "head.json"
     path.write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
     return path
@@ -44,20 +48,31 @@ def slide(**changes: Any) -> dict[str, Any]:
 
 
 def scan(
-    folder: Path, places: Sequence[float] = PLACES, heights: Sequence[float] | None = None, *, gain: float = 1.0,
-    column: str = "x_mm", heads: Sequence[Any] = (LEFT, RIGHT), texture: float = 0.3,
+    folder: Path,
+    places: Sequence[float] = PLACES,
+    heights: Sequence[float] | None = None,
+    *,
+    gain: float = 1.0,
+    column: str = "x_mm",
+    heads: Sequence[Any] = (LEFT, RIGHT),
+    texture: float = 0.3,
     specks: float = 0.0,
-) -> Path:  # fmt: skip
+) -> Path:
     folder.mkdir(exist_ok=True)
     rows = []
     for one in heads:
         images = [
             drawn(
-                np.array([x]), 1.0 if heights is None else heights[k],
-                noise=1.0, texture=texture, specks=specks, head=one, seed=k,
+                np.array([x]),
+                1.0 if heights is None else heights[k],
+                noise=1.0,
+                texture=texture,
+                specks=specks,
+                head=one,
+                seed=k,
             )[0]
             for k, x in enumerate(places)
-        ]  # fmt: skip
+        ]
         for k, (x, image) in enumerate(zip(places, images, strict=True)):
             name = f"{k:06d}-{one.id}.png"
             cv2.imwrite(str(folder / name), np.clip(gain * image, 0, 255).round().astype(np.uint8))
@@ -238,10 +253,14 @@ def turned(one: HeadCamera, deg: float) -> list[dict[str, Any]]:
     c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
     turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     return [
-        {"id": own.id, **camera_to_dict(own.camera), "rotation": (turn if own is one else np.eye(3)).tolist(),
-         "translation_mm": (turn @ own.translation_mm if own is one else np.array(own.translation_mm)).tolist()}
+        {
+            "id": own.id,
+            **camera_to_dict(own.camera),
+            "rotation": (turn if own is one else np.eye(3)).tolist(),
+            "translation_mm": (turn @ own.translation_mm if own is one else np.array(own.translation_mm)).tolist(),
+        }
         for own in (LEFT, RIGHT)
-    ]  # fmt: skip
+    ]
 
 
 @pytest.fixture(scope="module")

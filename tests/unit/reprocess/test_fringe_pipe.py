@@ -27,9 +27,13 @@ HEAD = {"id": 0, **camera_to_dict(LENS.camera), "rotation": LENS.rotation, "tran
 
 def calibration(folder: Path, **changes: Any) -> Path:
     data = {
-        "format": "annulus-calibration/2", "cameras": [HEAD], "transfer": {}, "pipe": {"radius_mm": RADIUS_MM},
-        "pattern": {"kind": "fringe", "projector": projector_to_dict(SLIDE)}, **changes,
-    }  # fmt: skip
+        "format": "annulus-calibration/2",
+        "cameras": [HEAD],
+        "transfer": {},
+        "pipe": {"radius_mm": RADIUS_MM},
+        "pattern": {"kind": "fringe", "projector": projector_to_dict(SLIDE)},
+        **changes,
+    }
     path = folder / "head.json"
     path.write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
     return path
@@ -134,10 +138,20 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
         head = Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((1, 3, TERMS)), RADIUS_MM)
         few, none = np.full(shape, 8), np.zeros(shape)
         return PipeMap(
-            rows, phi, radius + np.random.default_rng(1).normal(0, 0.01, shape), none + 0.01,
-            none.astype(np.uint8), none > 1, none + 50.0, none + 0.8, few, few * 0, head, (1.0, 0.0, 0.0),
+            rows,
+            phi,
+            radius + np.random.default_rng(1).normal(0, 0.01, shape),
+            none + 0.01,
+            none.astype(np.uint8),
+            none > 1,
+            none + 50.0,
+            none + 0.8,
+            few,
+            few * 0,
+            head,
+            (1.0, 0.0, 0.0),
             np.zeros(len(z_mm), bool),
-        )  # fmt: skip
+        )
 
     monkeypatch.setattr(module, "measure_pipe", measured)
     folder = scan(tmp_path / "long", "z_mm", [f"{k}" for k in range(60)])

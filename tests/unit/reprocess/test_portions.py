@@ -37,12 +37,26 @@ def portions(ranges: int) -> Portions:
     frames = tuple(ScanFrame(i, Label.PROJECTOR, 2.5 * i, f"rings-{i}.jpg") for i in range(count))
     facts = tuple(
         Facts(
-            n, f"ranges/{n:06d}.parquet", OF * n, OF * n + OF - 1,
-            tuple((i, Exposure(200.0, 0.0, 0.0, 0.35)) for i in range(OF * n, OF * n + OF)), (), (), (), (), OF,
-            1000, {}, (0.0, 1.0), {}, True, "a processor", (),
+            n,
+            f"ranges/{n:06d}.parquet",
+            OF * n,
+            OF * n + OF - 1,
+            tuple((i, Exposure(200.0, 0.0, 0.0, 0.35)) for i in range(OF * n, OF * n + OF)),
+            (),
+            (),
+            (),
+            (),
+            OF,
+            1000,
+            {},
+            (0.0, 1.0),
+            {},
+            True,
+            "a processor",
+            (),
         )
         for n in range(ranges)
-    )  # fmt: skip
+    )
     windows = tuple(
         Window(250.0 * n, 250.0 * (n + 1), tuple(range(max(0, OF * n - 20), min(count, OF * (n + 1) + 20))))
         for n in range(ranges)
@@ -84,9 +98,16 @@ def test_what_is_packed_comes_out_as_it_went_in() -> None:
 
 @pytest.mark.parametrize(
     ("free_mb", "cores", "workers", "at_once"),
-    [(64_000.0, 32, None, 2), (64_000.0, 1, None, 1), (64_000.0, 2, 5, 5), (2100.0, 8, None, 2), (1700.0, 8, None, 1),
-     (900.0, 8, 8, 1), (100.0, 8, 8, 1)],
-)  # fmt: skip
+    [
+        (64_000.0, 32, None, 2),
+        (64_000.0, 1, None, 1),
+        (64_000.0, 2, 5, 5),
+        (2100.0, 8, None, 2),
+        (1700.0, 8, None, 1),
+        (900.0, 8, 8, 1),
+        (100.0, 8, 8, 1),
+    ],
+)
 def test_so_many_windows_at_a_time_as_there_is_room_for_and_two_where_nobody_asks_for_more(
     monkeypatch: pytest.MonkeyPatch, free_mb: float, cores: int, workers: int | None, at_once: int
 ) -> None:

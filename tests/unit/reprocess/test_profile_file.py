@@ -21,19 +21,36 @@ def drawn(frame: int, points: int, roll: float | None = 0.25) -> Profile:
     xyz = RNG.normal(size=(points, 3)).astype(np.float32)
     xyz[:1] = -0.0
     return Profile(
-        frame, 0.1 + frame / 3, Pose(1e-17, -0.0, 1 / 3, 5e-324, roll), xyz,
-        RNG.integers(0, 256, (points, 3), np.uint8), RNG.integers(0, 9, points, np.uint8),
-        RNG.integers(0, 4096, points, np.uint16), 0.07, {"crowded": 3, "alone": 0}, {"polar": 1.25}, sigma, 0.012,
-        camera=1, ring_sigma_mm=RNG.random((9, 2)).astype(np.float32), slit_rad=RNG.random(9).astype(np.float32),
-    )  # fmt: skip
+        frame,
+        0.1 + frame / 3,
+        Pose(1e-17, -0.0, 1 / 3, 5e-324, roll),
+        xyz,
+        RNG.integers(0, 256, (points, 3), np.uint8),
+        RNG.integers(0, 9, points, np.uint8),
+        RNG.integers(0, 4096, points, np.uint16),
+        0.07,
+        {"crowded": 3, "alone": 0},
+        {"polar": 1.25},
+        sigma,
+        0.012,
+        camera=1,
+        ring_sigma_mm=RNG.random((9, 2)).astype(np.float32),
+        slit_rad=RNG.random(9).astype(np.float32),
+    )
 
 
 def none(frame: int) -> Profile:
     empty = np.zeros(0, np.uint8)
     return Profile(
-        frame, 3.0, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), empty, empty.astype(np.uint16),
+        frame,
+        3.0,
+        None,
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.uint8),
+        empty,
+        empty.astype(np.uint16),
         rejected={"no pipe": 12},
-    )  # fmt: skip
+    )
 
 
 PROFILES = (drawn(3, 500), none(4), drawn(5, 1, None), drawn(6, 777))
@@ -82,9 +99,11 @@ def test_an_address_is_of_every_bit_and_of_no_path() -> None:
     nudged = first.points_mm.copy()
     nudged[5, 1] = np.nextafter(nudged[5, 1], np.float32(9))
     others = [
-        replace(first, points_mm=nudged), replace(first, z_mm=np.nextafter(first.z_mm, 9.0)),
-        replace(first, rejected={"crowded": 3}), replace(first, pose=None, points_mm=first.points_mm),
-    ]  # fmt: skip
+        replace(first, points_mm=nudged),
+        replace(first, z_mm=np.nextafter(first.z_mm, 9.0)),
+        replace(first, rejected={"crowded": 3}),
+        replace(first, pose=None, points_mm=first.points_mm),
+    ]
     assert len({address(one) for one in [first, *others]}) == 5
     assert address((1, "2")) != address((12, "")) != address(("1", 2)) and address(1) != address(True) != address(1.0)
     with pytest.raises(TypeError):

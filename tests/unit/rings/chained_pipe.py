@@ -39,18 +39,28 @@ def pit(clock_deg: float, at_mm: float, depth: float, inner: Departure = smooth)
 
 
 def frames(
-    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3,
+    line: Centreline,
+    chainages: Sequence[float],
+    departure: Departure = smooth,
+    *,
+    roll: bool = False,
+    seed: int = 3,
     step_mm: float = 5.0,
-) -> list[Profile]:  # fmt: skip
+) -> list[Profile]:
     """A profile a chainage. roll : the head turns, and a sensor says how far, to a third of a degree. step_mm : along a
     ray; what is shorter may be passed through."""
     return ridden(line, chainages, departure, roll=roll, seed=seed, step_mm=step_mm)[0]
 
 
 def ridden(
-    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3,
+    line: Centreline,
+    chainages: Sequence[float],
+    departure: Departure = smooth,
+    *,
+    roll: bool = False,
+    seed: int = 3,
     step_mm: float = 5.0,
-) -> tuple[list[Profile], list[Pose]]:  # fmt: skip
+) -> tuple[list[Profile], list[Pose]]:
     """The same, and where the head really was, of every chainage."""
     rng = np.random.default_rng(seed)
     out, heads = [], []
@@ -70,10 +80,17 @@ def ridden(
         colour = np.full((len(points), 3), 200, np.uint8)
         out.append(
             Profile(
-                number, float(chainage), pose, in_pipe, colour, ring.astype(np.uint8), direction.astype(np.uint16),
-                fit.robust_sigma_mm, sigma_mm=sigma,
+                number,
+                float(chainage),
+                pose,
+                in_pipe,
+                colour,
+                ring.astype(np.uint8),
+                direction.astype(np.uint16),
+                fit.robust_sigma_mm,
+                sigma_mm=sigma,
             )
-        )  # fmt: skip
+        )
     return out, heads
 
 
@@ -97,9 +114,13 @@ def _rays(
     clock = np.radians((np.arange(DIRECTIONS) + 0.5) * 360 / DIRECTIONS)
     half = np.radians(np.array(THETA_FULL_DEG)) / 2
     ways = np.stack(
-        [np.outer(np.sin(half), np.sin(clock)), -np.outer(np.sin(half), np.cos(clock)),
-         np.outer(np.cos(half), np.ones(DIRECTIONS))], axis=-1
-    ).reshape(-1, 3)  # fmt: skip
+        [
+            np.outer(np.sin(half), np.sin(clock)),
+            -np.outer(np.sin(half), np.cos(clock)),
+            np.outer(np.cos(half), np.ones(DIRECTIONS)),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
     ring, direction = np.divmod(np.arange(len(ways)), DIRECTIONS)
     vertex = np.array([0.0, 0.0, VERTEX_Z_MM])
 

@@ -120,9 +120,14 @@ def _half_angles(cal: Calibration, slit_px: float) -> FloatArray:
 
 
 def _shade(
-    cal: Calibration, pose: Pose, radius: Radius | None, paint: Paint, half: FloatArray, rays: FloatArray,
+    cal: Calibration,
+    pose: Pose,
+    radius: Radius | None,
+    paint: Paint,
+    half: FloatArray,
+    rays: FloatArray,
     lit: Callable[[FloatArray], NDArray[np.bool_]] | None,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     out = np.zeros((len(rays), 3))
     ok = np.flatnonzero(np.isfinite(rays).all(axis=1))
     way, start = rays[ok] @ pose.rotation, -pose.translation @ pose.rotation

@@ -13,5 +13,15 @@ def even_wall() -> Wall:
     cells, none = np.full((len(z), len(clock)), RADIUS_MM, np.float32), np.zeros(0, np.float32)
     nobody = Observations(none.astype(int), none.astype(np.int32), none, none, none.astype(np.uint8))
     noise = np.full(len(z), 0.02)
-    return Wall(z, clock, cells, np.ones(cells.shape, np.int32), shape, np.zeros((len(z), 5, 5)), noise,
-                np.full_like(cells, 0.05), nobody, np.full_like(cells, 0.05))  # fmt: skip
+    return Wall(
+        z,
+        clock,
+        cells,
+        np.ones(cells.shape, np.int32),
+        shape,
+        np.zeros((len(z), 5, 5)),
+        noise,
+        np.full_like(cells, 0.05),
+        nobody,
+        np.full_like(cells, 0.05),
+    )

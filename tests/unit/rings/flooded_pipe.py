@@ -26,12 +26,22 @@ def still(height_mm: float) -> Surface:
 
 
 def scan(
-    surface: Surface, *, index: float | None = None, frames: int = 20, every_mm: float = 4.0, roll_deg: float = 0.0,
-    told_roll: bool = False, rods_deg: Sequence[float] = (107.0, 227.0, 347.0), noise: float = 1.0,
-    bias_mm: float = 0.02, wall: Shape | None = None, calibration: Calibration = CALIBRATION, directions: int = 360,
+    surface: Surface,
+    *,
+    index: float | None = None,
+    frames: int = 20,
+    every_mm: float = 4.0,
+    roll_deg: float = 0.0,
+    told_roll: bool = False,
+    rods_deg: Sequence[float] = (107.0, 227.0, 347.0),
+    noise: float = 1.0,
+    bias_mm: float = 0.02,
+    wall: Shape | None = None,
+    calibration: Calibration = CALIBRATION,
+    directions: int = 360,
     seed: int = 3,
     unseen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
-) -> list[Profile]:  # fmt: skip
+) -> list[Profile]:
     """Frames of a wandering head, posed by `fit_pose` as real ones are.
 
     index : refractive index of what is clear; None where it is opaque. roll_deg : how far the head is turned, which a
@@ -70,18 +80,31 @@ def scan(
         pose = Pose(found.rx, found.ry, found.tx, found.ty, math.radians(roll_deg) if told_roll else None)
         out.append(
             Profile(
-                i, z0, pose, pose.to_pipe(stacked, z0).astype(np.float32), blank, number.astype(np.uint8),
-                np.zeros(len(stacked), np.uint16), fit.robust_sigma_mm, sigma_mm=sigma.astype(np.float32),
+                i,
+                z0,
+                pose,
+                pose.to_pipe(stacked, z0).astype(np.float32),
+                blank,
+                number.astype(np.uint8),
+                np.zeros(len(stacked), np.uint16),
+                fit.robust_sigma_mm,
+                sigma_mm=sigma.astype(np.float32),
                 lean_sigma_deg=fit.lean_sigma_deg,
             )
-        )  # fmt: skip
+        )
     return out
 
 
 def _apparent(
-    cone: Cone, pose: Pose, clock: np.ndarray, surface: Surface, index: float | None, wall: Shape | None, z0: float,
+    cone: Cone,
+    pose: Pose,
+    clock: np.ndarray,
+    surface: Surface,
+    index: float | None,
+    wall: Shape | None,
+    z0: float,
     unseen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(N, 3) camera frame: where camera rays to what one ring lights meet that ring's cone."""
     axis = np.asarray(cone.axis)
     across = np.cross(axis, [0.0, 1.0, 0.0])

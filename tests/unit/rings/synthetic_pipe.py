@@ -78,9 +78,16 @@ def oval(inner: RadiusMap, clock_deg: float, part: float, z0: float = -1e9, z1: 
 
 
 def scan(
-    radius: RadiusMap, *, z_mm: Sequence[float] | None = None, rods_deg: Sequence[float] = (107.0, 227.0, 347.0),
-    noise: float = 1.0, gross: float = 0.0, directions: int = 720, seed: int = 5, steep: bool = False,
-) -> list[Profile]:  # fmt: skip
+    radius: RadiusMap,
+    *,
+    z_mm: Sequence[float] | None = None,
+    rods_deg: Sequence[float] = (107.0, 227.0, 347.0),
+    noise: float = 1.0,
+    gross: float = 0.0,
+    directions: int = 720,
+    seed: int = 5,
+    steep: bool = False,
+) -> list[Profile]:
     """Profiles of a centred sensor at the stations (50 frames 2.4 mm apart, every fifth left to the LED).
 
     steep : walls may stand upright: light is followed to the hundredth of a millimetre.
@@ -91,9 +98,15 @@ def scan(
 
 @lru_cache(maxsize=16)
 def _cast(
-    radius: RadiusMap, stations: tuple[float, ...], rods_deg: tuple[float, ...], noise: float, gross: float,
-    directions: int, seed: int, steep: bool,
-) -> tuple[Profile, ...]:  # fmt: skip
+    radius: RadiusMap,
+    stations: tuple[float, ...],
+    rods_deg: tuple[float, ...],
+    noise: float,
+    gross: float,
+    directions: int,
+    seed: int,
+    steep: bool,
+) -> tuple[Profile, ...]:
     rng = np.random.default_rng(seed)
     clock = (np.arange(directions) + 0.5) * 360.0 / directions
     lit = (
@@ -132,8 +145,14 @@ def _cast(
         colour = np.full((len(stacked), 3), 200, dtype=np.uint8)
         out.append(
             Profile(
-                frame, z0, Pose(), stacked, colour, np.concatenate(ring).astype(np.uint8),
-                np.concatenate(direction).astype(np.uint16), 0.05,
+                frame,
+                z0,
+                Pose(),
+                stacked,
+                colour,
+                np.concatenate(ring).astype(np.uint8),
+                np.concatenate(direction).astype(np.uint16),
+                0.05,
             )
-        )  # fmt: skip
+        )
     return tuple(out)

@@ -37,9 +37,13 @@ RINGS = (
 
 
 def _seen(
-    poses: tuple[Pose, ...] = POSES, rings: tuple[Cone, ...] = RINGS, camera: Camera = CAMERA, radius: float = RADIUS,
-    noise_px: float = 0.0, steps: int = 120,
-) -> Observations:  # fmt: skip
+    poses: tuple[Pose, ...] = POSES,
+    rings: tuple[Cone, ...] = RINGS,
+    camera: Camera = CAMERA,
+    radius: float = RADIUS,
+    noise_px: float = 0.0,
+    steps: int = 120,
+) -> Observations:
     rng = np.random.default_rng(0)
     frame, ring, places = [], [], []
     for j, pose in enumerate(poses):
@@ -101,9 +105,11 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
     solution = calibrate(_seen(noise_px=0.3), RADIUS)
     cover = solution.covariance
     off = np.concatenate(
-        [[a.half_angle - b.half_angle, *np.subtract(a.axis[:2], b.axis[:2]), *np.subtract(a.vertex_mm, b.vertex_mm)]
-         for a, b in zip(solution.rings, RINGS, strict=True)]
-    )  # fmt: skip
+        [
+            [a.half_angle - b.half_angle, *np.subtract(a.axis[:2], b.axis[:2]), *np.subtract(a.vertex_mm, b.vertex_mm)]
+            for a, b in zip(solution.rings, RINGS, strict=True)
+        ]
+    )
     square = float(off @ np.linalg.solve(cover, off)) / len(off)  # 1 on average over 18 numbers, sd 0.33
     assert 0.5 < square < 2.5
     assert np.allclose(solution.sigma_px, 0.3, rtol=0.15)
@@ -157,10 +163,12 @@ def test_a_frame_of_another_pipe_shows_in_the_frames_held_out() -> None:
     other = _seen(POSES[5:], radius=1.02 * RADIUS, noise_px=0.1)
     seen = _seen(POSES[:5], noise_px=0.1)
     both = Observations(
-        np.concatenate([seen.frame, other.frame + 5]), np.concatenate([seen.ring, other.ring]),
-        np.concatenate([seen.rays, other.rays]), np.concatenate([seen.origins, other.origins]),
+        np.concatenate([seen.frame, other.frame + 5]),
+        np.concatenate([seen.ring, other.ring]),
+        np.concatenate([seen.rays, other.rays]),
+        np.concatenate([seen.origins, other.origins]),
         np.concatenate([seen.width, other.width]),
-    )  # fmt: skip
+    )
     held = hold_out(both, calibrate(both, RADIUS), 6)
     assert held.off_radius_mm[5] == pytest.approx(0.02 * RADIUS, abs=0.12)
 

@@ -34,9 +34,15 @@ def profile(pose: Pose, hole=None) -> Profile:
         rings.append(np.full(kept.sum(), k))
     ring = np.concatenate(rings).astype(np.uint8)
     return Profile(
-        0, 0.0, pose, np.concatenate(points).astype(np.float32), np.zeros((len(ring), 3), np.uint8), ring,
-        np.zeros(len(ring), np.uint16), 0.1,
-    )  # fmt: skip
+        0,
+        0.0,
+        pose,
+        np.concatenate(points).astype(np.float32),
+        np.zeros((len(ring), 3), np.uint8),
+        ring,
+        np.zeros(len(ring), np.uint16),
+        0.1,
+    )
 
 
 POSES = [Pose(), Pose(0.02, -0.01, 1.0, -1.5), Pose(-0.015, 0.02, -2.0, 0.5)]

@@ -18,9 +18,20 @@ TANK = Tank()
 
 def head() -> tuple[TwinBus, dict[str, float]]:
     plays = {
-        "c1_pf": 4.8, "c2_pf": 4.85, "c3_pf": 4.57, "cref_pf": 4.7, "loss1_ff": 20.0, "loss2_ff": 0.0, "loss3_ff": 30.0,
-        "voltage_v": 5.02, "current_a": 0.8, "x_g": 0.0, "y_g": -1.0, "z_g": 0.0, "temperature_c": 21.0,
-    }  # fmt: skip
+        "c1_pf": 4.8,
+        "c2_pf": 4.85,
+        "c3_pf": 4.57,
+        "cref_pf": 4.7,
+        "loss1_ff": 20.0,
+        "loss2_ff": 0.0,
+        "loss3_ff": 30.0,
+        "voltage_v": 5.02,
+        "current_a": 0.8,
+        "x_g": 0.0,
+        "y_g": -1.0,
+        "z_g": 0.0,
+        "temperature_c": 21.0,
+    }
     chips = {0x2A: fdc2214(plays, TANK), 0x48: ads1115(plays, TANK), 0x40: ina226(plays, 10.0), 0x68: mpu6050(plays)}
     return TwinBus(chips), plays
 
@@ -65,10 +76,14 @@ def test_a_tank_that_stands_still_is_no_number_and_the_others_are() -> None:
 @pytest.mark.parametrize(
     ("volts", "amperes", "lit", "wrong"),
     [
-        (5.0, 0.8, None, set()), (4.5, 0.8, None, {"undervoltage"}), (5.0, 3.5, None, {"overcurrent"}),
-        (5.0, -0.2, None, set()), (5.0, 0.01, True, {"draws_nothing"}), (5.0, 0.01, False, set()),
+        (5.0, 0.8, None, set()),
+        (4.5, 0.8, None, {"undervoltage"}),
+        (5.0, 3.5, None, {"overcurrent"}),
+        (5.0, -0.2, None, set()),
+        (5.0, 0.01, True, {"draws_nothing"}),
+        (5.0, 0.01, False, set()),
     ],
-)  # fmt: skip
+)
 def test_a_rail_says_what_is_wrong_with_it(volts: float, amperes: float, lit: bool | None, wrong: set[str]) -> None:
     bus, plays = head()
     plays |= {"voltage_v": volts, "current_a": amperes}

@@ -55,15 +55,39 @@ def test_noise_is_a_value_error(noise: bytes) -> None:
 
 @pytest.mark.parametrize(
     "field, value",
-    [("width", 0), ("height", 1 << 20), ("label", "both"), ("encoding", "jpeg"), ("index", -1), ("index", True),
-     ("reason", "x" * 201), ("z_mm", float("nan")), ("z_mm", "3"), ("slot", 63), ("timestamp_ns", 1.5),
-     ("arrived_ns", -1), ("z_assumed", 1), ("segment", -1), ("segment", 2**31)],
-)  # fmt: skip
+    [
+        ("width", 0),
+        ("height", 1 << 20),
+        ("label", "both"),
+        ("encoding", "jpeg"),
+        ("index", -1),
+        ("index", True),
+        ("reason", "x" * 201),
+        ("z_mm", float("nan")),
+        ("z_mm", "3"),
+        ("slot", 63),
+        ("timestamp_ns", 1.5),
+        ("arrived_ns", -1),
+        ("z_assumed", 1),
+        ("segment", -1),
+        ("segment", 2**31),
+    ],
+)
 def test_a_value_out_of_range_is_named(field: str, value: object) -> None:
     good = {
-        "index": 1, "sequence": 2, "timestamp_ns": 3, "label": "led", "reason": "", "edge": 4, "slot": 4, "odometer": 5,
-        "z_mm": 1.0, "encoding": "mono8", "width": 10, "height": 10,
-    }  # fmt: skip
+        "index": 1,
+        "sequence": 2,
+        "timestamp_ns": 3,
+        "label": "led",
+        "reason": "",
+        "edge": 4,
+        "slot": 4,
+        "odometer": 5,
+        "z_mm": 1.0,
+        "encoding": "mono8",
+        "width": 10,
+        "height": 10,
+    }
     old = FrameHeader.from_dict(good)  # as recordings of before there was more to say
     assert old.size == 100 and (old.arrived_ns, old.z_assumed, old.segment) == (None, False, 0)
     with pytest.raises(ValueError, match=field):

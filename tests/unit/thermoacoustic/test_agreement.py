@@ -16,8 +16,15 @@ from annulus.vocabulary import AnnulusError
 
 C, RADIUS, RATE = 1478.0, 25.0, 25e6
 ANGLES = np.arange(50) * 7.2
-SMALL = np.array([[6.0, 2.0, 0.2, 1.2, 1.0], [-4.0, 5.0, -0.3, 0.8, 0.8], [-2.0, -7.0, 0.1, 1.0, 0.6],
-                  [3.0, -3.0, 0.0, 0.6, 0.9], [-8.0, -1.0, 0.3, 1.4, 0.7]])  # fmt: skip
+SMALL = np.array(
+    [
+        [6.0, 2.0, 0.2, 1.2, 1.0],
+        [-4.0, 5.0, -0.3, 0.8, 0.8],
+        [-2.0, -7.0, 0.1, 1.0, 0.6],
+        [3.0, -3.0, 0.0, 0.6, 0.9],
+        [-8.0, -1.0, 0.3, 1.4, 0.7],
+    ]
+)
 
 
 def spheres(parts: np.ndarray, speed: float = C, samples: int = 950) -> np.ndarray:

@@ -32,10 +32,21 @@ if __name__ == "__main__":
     "host/annulus/controller.py": "X = 1\n",
 }
 NOW = {
-    "4", "5", "3.75", "2", "8",  # numbers of the source and one more, or half as much again
-    "not x or x + 1 < LIMIT * 2.5", "x", "x - 1", "x + 1 <= LIMIT * 2.5", "LIMIT / 2.5", "LIMIT += y",
-    "not (not x and x + 1 < LIMIT * 2.5)", "None", "not y",
-}  # fmt: skip
+    "4",
+    "5",
+    "3.75",
+    "2",
+    "8",  # numbers of the source and one more, or half as much again
+    "not x or x + 1 < LIMIT * 2.5",
+    "x",
+    "x - 1",
+    "x + 1 <= LIMIT * 2.5",
+    "LIMIT / 2.5",
+    "LIMIT += y",
+    "not (not x and x + 1 < LIMIT * 2.5)",
+    "None",
+    "not y",
+}
 
 
 def test_one_seed_has_the_same_faults_and_another_has_others() -> None:

@@ -30,8 +30,13 @@ DARK = {
     "direction": "gnd",
 }
 PULLS = {  # an output off, an input open
-    **DARK, "enable": "3v3", "interlock": "3v3", "interlock_antivalent": "gnd", "end_low": "3v3", "end_high": "3v3",
-}  # fmt: skip
+    **DARK,
+    "enable": "3v3",
+    "interlock": "3v3",
+    "interlock_antivalent": "gnd",
+    "end_low": "3v3",
+    "end_high": "3v3",
+}
 LIMITS = {
     "projector": LAMP_WIDTH_MAX_TICKS / TICK_HZ,
     "led": LAMP_WIDTH_MAX_TICKS / TICK_HZ,

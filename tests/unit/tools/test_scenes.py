@@ -22,8 +22,16 @@ def score(**changed: Any) -> dict[str, Any]:
 
 def pocket(depth: float, length: float, **changed: Any) -> dict[str, Any]:
     one = {"name": "pocket", "state": "found", "listed": [], "z": [100, 120], "clock_deg": 90, "floor_seen": True}
-    return {**one, "depth": depth, "depth_true": 2.0, "length": length, "length_true": 20.0, "z_error": 0.0,
-            "within_k2": True, **changed}  # fmt: skip
+    return {
+        **one,
+        "depth": depth,
+        "depth_true": 2.0,
+        "length": length,
+        "length_true": 20.0,
+        "z_error": 0.0,
+        "within_k2": True,
+        **changed,
+    }
 
 
 def missed(checks: Any) -> list[str]:

@@ -45,8 +45,10 @@ def test_a_deep_test_that_nothing_in_the_gate_stands_for_is_named() -> None:
     wrong = [item("tests/unit/a.py::test_p", by_a_deep_one), item("tests/unit/a.py::test_q", by_none)]
     wrong.append(item("tests/unit/a.py::test_r[1]", pytest.mark.deep))
     assert [line.partition(":: ")[0].split("::")[1].split(":")[0] for line in tiers.unspoken(items + wrong)] == [
-        "test_p", "test_q", "test_r",
-    ]  # fmt: skip
+        "test_p",
+        "test_q",
+        "test_r",
+    ]
 
 
 COSTS = {
@@ -67,8 +69,10 @@ def costs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_change_calls_for_its_own_room_first_then_those_above_and_never_those_below(costs: None) -> None:
     far = touched.touched(["host/annulus/wall/axis.py"], touched.floors())
     assert sorted(far, key=far.__getitem__) == [
-        "tests/unit/wall/test_axis.py", "tests/unit/report/test_page.py", "tests/system/test_scan.py",
-    ]  # fmt: skip
+        "tests/unit/wall/test_axis.py",
+        "tests/unit/report/test_page.py",
+        "tests/system/test_scan.py",
+    ]
     assert touched.fitting(far, 51.0) == ["tests/unit/wall/test_axis.py", "tests/unit/report/test_page.py"]
     assert touched.touched(["README.md"], touched.floors()) == {}
     assert "tests/emulator/test_usb.py" in touched.touched(["firmware/core/safety.c"], touched.floors())

@@ -127,10 +127,22 @@ def test_a_profile_has_each_of_its_disturbances_at_least_once_and_leaves_the_sta
         return
     where = [
         at if isinstance(at, int) else at[0]
-        for field in ("resets", "power_losses", "disconnects", "stamp_steps", "unplugged", "frozen", "count_jumps",
-                      "count_resets", "stalls", "queue_steps", "pictures_behind", "hiccups")
+        for field in (
+            "resets",
+            "power_losses",
+            "disconnects",
+            "stamp_steps",
+            "unplugged",
+            "frozen",
+            "count_jumps",
+            "count_resets",
+            "stalls",
+            "queue_steps",
+            "pictures_behind",
+            "hiccups",
+        )
         for at in getattr(placed, field)
-    ]  # fmt: skip
+    ]
     times = {kind: max(1, round(often * frames / 1e6)) for kind, often in profile.per_million.items()}
     moments = sum(times.values()) + times.get("unheard restarts", 0)  # the outage begins before
     moments += times.get("deeper restarts", 0)  # .. and the camera comes back after

@@ -57,9 +57,10 @@ def test_every_camera_sees_the_phase_of_its_slide(make: Callable[[], World]) -> 
         grey, dc = (
             cv2.cvtColor(
                 Renderer(one, number).render(world.pose(z_mm), z_mm, 1.0, slot=slot), cv2.COLOR_BayerRGGB2GRAY
-            ).astype(float) - 2.0
+            ).astype(float)
+            - 2.0
             for one in (world, plain)
-        )  # fmt: skip
+        )
         phase = light.slides[slot].slide.phase(seen_places(world, number, z_mm))
         lit = cv2.erode((dc > 25).astype(np.uint8), np.ones((9, 9))) > 0
         assert lit.mean() > 0.1

@@ -16,9 +16,15 @@ from annulus.vocabulary import AnnulusError
 @pytest.fixture
 def head() -> Iterator[process.Head]:
     order = {
-        "world": demo_world().scaled(104).to_dict(), "timing": asdict(head_timing(25.0)), "faults": asdict(NO_FAULTS),
-        "seed": 1, "speed_mm_s": 0.0, "drift_ppm": 30.0, "threads": 1, "board": "native",
-    }  # fmt: skip
+        "world": demo_world().scaled(104).to_dict(),
+        "timing": asdict(head_timing(25.0)),
+        "faults": asdict(NO_FAULTS),
+        "seed": 1,
+        "speed_mm_s": 0.0,
+        "drift_ppm": 30.0,
+        "threads": 1,
+        "board": "native",
+    }
     head = process.Head(order)
     yield head
     head.close()

@@ -32,8 +32,9 @@ def test_a_flash_after_edge_k_lights_every_row_of_frame_k_plus_1_and_no_other() 
     sensor = ImageSensor(WORLD, TIMING)
     pins = flashes(sensor, 2, PIN_PROJECTOR, 3000, 5000) + flashes(sensor, 4, PIN_LED, 2500, 2500)
     lit = [exposure.lamps for exposure in expose(sensor, pins, 7)]
-    assert lit == [frozenset({Lamp.PROJECTOR}) if n == 3 else frozenset({Lamp.LED}) if n == 5 else frozenset()
-                   for n in range(7)]  # fmt: skip
+    assert lit == [
+        frozenset({Lamp.PROJECTOR}) if n == 3 else frozenset({Lamp.LED}) if n == 5 else frozenset() for n in range(7)
+    ]
     frame = expose(ImageSensor(WORLD, TIMING), pins, 7)[3]
     np.testing.assert_allclose(frame.projector, 1.0)
     assert not frame.led.any()
@@ -171,8 +172,12 @@ def test_faults_load_by_name_and_from_toml_and_say_what_is_wrong(tmp_path: Path)
     file = tmp_path / "faults.toml"
     file.write_text("frames_dropped = 0.2\nresets = [10, 20]\n")
     assert load_faults(file) == Faults(frames_dropped=0.2, resets=(10, 20))
-    for text, word in (("frames_dropped = 2.0", "frames_dropped"), ("gremlins = 1", "gremlins"), ("= 3", "TOML"),
-                       ("resets = ['a']", "resets")):  # fmt: skip
+    for text, word in (
+        ("frames_dropped = 2.0", "frames_dropped"),
+        ("gremlins = 1", "gremlins"),
+        ("= 3", "TOML"),
+        ("resets = ['a']", "resets"),
+    ):
         file.write_text(text)
         with pytest.raises(AnnulusError, match=word):
             load_faults(file)

@@ -65,5 +65,6 @@ def test_features_have_the_shape_they_say() -> None:
     oval = Feature("oval", 100.0, 60.0, 2.0, clock_deg=30.0)
     np.testing.assert_allclose(
         oval.deviation(np.array([30.0, 120.0, 210.0, 30.0]), np.array([100.0, 100.0, 100.0, 130.0]), 76.2),
-        [2, -2, 2, 0], atol=1e-12,
-    )  # fmt: skip
+        [2, -2, 2, 0],
+        atol=1e-12,
+    )

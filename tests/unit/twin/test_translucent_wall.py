@@ -12,14 +12,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.record.codec import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
-from annulus.twin.worlds import (
-    World,
-    clean_world,
-    mirror_world,
-    series_world,
-    stereo_world,
-    translucent,
-)
+from annulus.twin.worlds import World, clean_world, mirror_world, series_world, stereo_world, translucent
 from annulus.twin.worlds.fittings import FITTINGS
 from annulus.vocabulary import AnnulusError
 

@@ -52,9 +52,16 @@ def _points(height: float, width: float, half_slit: float, rng: np.random.Genera
     rows = [np.array(one, float) for one in (z, stands, ratio)]
     clock = np.array(sector) * 10.0 + 5.0
     return Points(
-        rows[0], np.array(sector), rows[1], np.full(len(clock), 0.05), rows[2], np.full(len(clock), half_slit),
-        RADIUS_MM - rows[1], clock, np.array(look),
-    )  # fmt: skip
+        rows[0],
+        np.array(sector),
+        rows[1],
+        np.full(len(clock), 0.05),
+        rows[2],
+        np.full(len(clock), half_slit),
+        RADIUS_MM - rows[1],
+        clock,
+        np.array(look),
+    )
 
 
 @pytest.mark.deep(but=4)

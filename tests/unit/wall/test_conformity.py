@@ -124,9 +124,10 @@ def test_a_narrow_station_fails_the_bore() -> None:
 
 @QUICK
 @given(
-    st.lists(st.tuples(st.floats(0.05, 9), st.floats(0, 3), st.booleans()), max_size=5), st.floats(0.3, 5),
+    st.lists(st.tuples(st.floats(0.05, 9), st.floats(0, 3), st.booleans()), max_size=5),
+    st.floats(0.3, 5),
     st.integers(0, 3),
-)  # fmt: skip
+)
 def test_a_pipe_conforms_only_if_every_depth_does(
     depths: list[tuple[float, float, bool]], limit: float, accepted: int
 ) -> None:
@@ -156,7 +157,7 @@ def test_a_pipe_conforms_only_if_every_depth_does(
         ("accept_severity = true\n", "accept_severity is True|names no limit"),
         ("\x1b[2J", "not TOML"),
     ],
-)  # fmt: skip
+)
 def test_wrong_limits_are_one_line(text: str, match: str, tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text(text)
@@ -183,28 +184,43 @@ def joint(hilo: float, k2: float) -> Feature:
 
 
 def survey(
-    defects: tuple[Defect, ...] = (), undecided: tuple[Defect, ...] = (), features: tuple[Feature, ...] = (),
+    defects: tuple[Defect, ...] = (),
+    undecided: tuple[Defect, ...] = (),
+    features: tuple[Feature, ...] = (),
     unjudged: tuple[Unjudged, ...] = (),
-) -> Survey:  # fmt: skip
+) -> Survey:
     """As much of one as is asked."""
     n = 4
     shape = np.tile([76.0, 0, 0, 0.1, 0], (n, 1))
     flat = np.full((n, 36), 0.01, np.float32)
     wall = SimpleNamespace(
-        shape_mm=shape, z_mm=np.arange(n) * 5.0, seen=np.ones((n, 36), bool), sigma_mm=flat, cell_noise_mm=flat,
-        shape_sigma_mm=lambda: flat, shape_covariance=np.tile(1e-6 * np.eye(5), (n, 1, 1)), shape_limit_mm=0.4,
+        shape_mm=shape,
+        z_mm=np.arange(n) * 5.0,
+        seen=np.ones((n, 36), bool),
+        sigma_mm=flat,
+        cell_noise_mm=flat,
+        shape_sigma_mm=lambda: flat,
+        shape_covariance=np.tile(1e-6 * np.eye(5), (n, 1, 1)),
+        shape_limit_mm=0.4,
         oval_part=0.0,
-    )  # fmt: skip
+    )
     steady = np.full(n, 152.0)
     low = np.array([152.0, 151.0, 152.0, 152.0])
     k2, none = np.full(n, 0.1), np.zeros(n)
     stations = Stations(wall.z_mm, low, steady, steady, none, none, none + 1, *[k2] * 3, *[steady] * 6)
     told: dict[str, Any] = {
-        "wall": wall, "stations": stations,
+        "wall": wall,
+        "stations": stations,
         "detection": Detection(defects, np.zeros((n, 36), np.int32), Limits(), undecided),
-        "features": features, "defects": defects, "diameter_mean_mm": 152.0, "nominal_diameter_mm": 152.4,
-        "depth_limit_mm": 0.3, "size_limit_mm": 7.6, "seen_fraction": 0.92, "unjudged": unjudged,
-    }  # fmt: skip
+        "features": features,
+        "defects": defects,
+        "diameter_mean_mm": 152.0,
+        "nominal_diameter_mm": 152.4,
+        "depth_limit_mm": 0.3,
+        "size_limit_mm": 7.6,
+        "seen_fraction": 0.92,
+        "unjudged": unjudged,
+    }
     return cast(Survey, SimpleNamespace(**told))
 
 

@@ -19,9 +19,13 @@ NOISE = np.array(NOISE_MM)
 
 
 def said(
-    profiles: Sequence[Profile], *, times: float = 1.0, drawn: Sequence[float] = (0, 0, 0, 0, 0),
-    calibrated: float = 0.0, bias: Sequence[float] = (0, 0, 0, 0, 0),
-) -> list[Profile]:  # fmt: skip
+    profiles: Sequence[Profile],
+    *,
+    times: float = 1.0,
+    drawn: Sequence[float] = (0, 0, 0, 0, 0),
+    calibrated: float = 0.0,
+    bias: Sequence[float] = (0, 0, 0, 0, 0),
+) -> list[Profile]:
     """Each ring off by a bias; points say `times` their noise, how far it seems drawn, what the calibration leaves."""
     parts = np.stack([np.array(drawn, float), np.full(5, calibrated)], axis=1)
     sigma = np.sqrt((times * NOISE) ** 2 + (parts**2).sum(axis=1))

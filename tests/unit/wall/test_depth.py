@@ -77,9 +77,17 @@ def test_rings_weigh_by_what_they_may_be_off() -> None:
     shape = np.tile([75.0, 0.0, 0.0, 0.0, 0.0], (Z, 1))
     flat = np.zeros((Z, A), np.float32)
     wall = Wall(
-        np.arange(Z) + 0.5, np.arange(A) + 0.5, np.full((Z, A), 76.4, np.float32), np.full((Z, A), 3, np.int32), shape,
-        np.zeros((Z, 5, 5)), np.zeros(Z), flat, seen, flat,
-    )  # fmt: skip
+        np.arange(Z) + 0.5,
+        np.arange(A) + 0.5,
+        np.full((Z, A), 76.4, np.float32),
+        np.full((Z, A), 3, np.int32),
+        shape,
+        np.zeros((Z, 5, 5)),
+        np.zeros(Z),
+        flat,
+        seen,
+        flat,
+    )
     assert np.allclose(wall.residual_mm(), 1.4, atol=1e-4) and np.allclose(wall.weighed_residual_mm(), 1.0, atol=1e-4)
 
 

@@ -68,9 +68,14 @@ def draw(seed: int) -> Drawn:
     way, beside = WAYS[int(rng.integers(len(WAYS)))], BESIDE[int(rng.integers(len(BESIDE)))]
     much = {"line": 0.0, "angle": rng.uniform(0.2, 2.0), "hi-lo": rng.uniform(0.3, 3.0), "step": rng.uniform(-3, 3)}
     return Drawn(
-        seed, float(rng.uniform(4.0, 14.0)), float(rng.uniform(1.0, 8.0)), float(rng.uniform(125.0, 235.0)), way,
-        beside, float(much[beside]),
-    )  # fmt: skip
+        seed,
+        float(rng.uniform(4.0, 14.0)),
+        float(rng.uniform(1.0, 8.0)),
+        float(rng.uniform(125.0, 235.0)),
+        way,
+        beside,
+        float(much[beside]),
+    )
 
 
 def verdict(pipe: Survey, limits: str) -> Decision:

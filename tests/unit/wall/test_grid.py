@@ -58,8 +58,10 @@ def test_three_defects_at_once_come_out_where_they_are() -> None:
     pipe = pocket(bump(pocket(round_pipe, 90, 12, 130, 165, 5.0), 190, 150, 12.65, 4.0), 280, 55, 182, 192, 2.0)
     a, b, c = defects_of(build_wall(scan(pipe, gross=0.001)))
     for found, kind, z, clock, depth in (
-        (a, Kind.LOSS, 147.5, 90, 5.0), (b, Kind.BUMP, 150, 190, 4.0), (c, Kind.LOSS, 187, 280, 2.0)
-    ):  # fmt: skip
+        (a, Kind.LOSS, 147.5, 90, 5.0),
+        (b, Kind.BUMP, 150, 190, 4.0),
+        (c, Kind.LOSS, 187, 280, 2.0),
+    ):
         assert found.kind is kind
         assert abs(found.z_mm - z) < 1.5 and abs(found.clock_deg - clock) < 4
         assert abs(found.depth_mm - depth) < 0.3
@@ -180,9 +182,7 @@ def test_labels_point_at_the_defects_they_number() -> None:
 
 def test_led_pose_lies_between_its_neighbours() -> None:
     profiles = scan(round_pipe, z_mm=[0.0, 10.0])
-    moved = [
-        Profile(p.frame, p.z_mm, Pose(tx=p.z_mm), p.points_mm, p.colour, p.ring, p.direction) for p in profiles
-    ]  # fmt: skip
+    moved = [Profile(p.frame, p.z_mm, Pose(tx=p.z_mm), p.points_mm, p.colour, p.ring, p.direction) for p in profiles]
     middle = pose_at(moved, 4.0)
     assert middle is not None and middle.tx == pytest.approx(4.0)
     assert pose_at([], 4.0) is None

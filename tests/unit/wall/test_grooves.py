@@ -32,11 +32,17 @@ def _frames(deep: float, width: float, rng: np.random.Generator) -> list[Profile
         count = len(xyz)
         out.append(
             Profile(
-                n, start, None, xyz, np.zeros((count, 3), np.uint8), np.array(rings, np.uint8),
-                np.zeros(count, np.uint16), sigma_mm=np.full(count, 0.05, np.float32),
+                n,
+                start,
+                None,
+                xyz,
+                np.zeros((count, 3), np.uint8),
+                np.array(rings, np.uint8),
+                np.zeros(count, np.uint16),
+                sigma_mm=np.full(count, 0.05, np.float32),
                 slit_rad=(SLITS_MM / RADIUS_MM / (1 + RATIOS**2)).astype(np.float32),
             )
-        )  # fmt: skip
+        )
     return out
 
 

@@ -10,17 +10,7 @@ from synthetic_pipe import CALIBRATION
 
 from annulus.geometry.pose import Pose
 from annulus.wall import adjustment
-from annulus.wall.adjustment import (
-    CURVATURE,
-    PIECE,
-    START,
-    Adjusted,
-    Sightings,
-    State,
-    adjust,
-    sightings,
-    unmodelled,
-)
+from annulus.wall.adjustment import CURVATURE, PIECE, START, Adjusted, Sightings, State, adjust, sightings, unmodelled
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.gyro import GYRO, Turns, weigh
 from annulus.wall.profile import Profile

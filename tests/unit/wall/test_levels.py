@@ -186,11 +186,17 @@ def stepped(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     "wall",
     [
-        round_pipe, stepped, bump(round_pipe, 180, 150, 40, 6), rim(40, 72), rim(60, 72), rim(50, 68),
-        *(dent(half, depth) for half in (15, 25, 40) for depth in (2, 4)), dent(60, 6),
+        round_pipe,
+        stepped,
+        bump(round_pipe, 180, 150, 40, 6),
+        rim(40, 72),
+        rim(60, 72),
+        rim(50, 68),
+        *(dent(half, depth) for half in (15, 25, 40) for depth in (2, 4)),
+        dent(60, 6),
         *(oval(round_pipe, clock, 0.08) for clock in (0.0, 45.0, 90.0)),
     ],
-)  # fmt: skip
+)
 def test_a_wall_is_no_level(wall: RadiusMap) -> None:
     profiles = synthetic_pipe.scan(wall)
     above, levels = without_levels(profiles, CALIBRATION)

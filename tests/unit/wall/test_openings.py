@@ -118,8 +118,12 @@ def test_wall_that_swallows_all_light_is_not_called_open(shape: str) -> None:
             "streak": np.abs(across) < 12.0,
         }[shape]
         return replace(
-            profile, points_mm=profile.points_mm[~gone], colour=profile.colour[~gone], ring=profile.ring[~gone],
-            direction=profile.direction[~gone], sigma_mm=profile.sigma_mm[~gone],
-        )  # fmt: skip
+            profile,
+            points_mm=profile.points_mm[~gone],
+            colour=profile.colour[~gone],
+            ring=profile.ring[~gone],
+            direction=profile.direction[~gone],
+            sigma_mm=profile.sigma_mm[~gone],
+        )
 
     assert survey([hidden(p) for p in scan(round_pipe, z_mm=STATIONS)], CALIBRATION).features == ()

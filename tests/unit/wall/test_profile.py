@@ -13,12 +13,20 @@ from annulus.wall.profile import Profile
 def profile(n=5, pose=Pose(0.1, 0.2, 3.0, 4.0)):  # noqa: B008 (frozen)
     rng = np.random.default_rng(n)
     return Profile(
-        7, 12.5, pose, rng.normal(size=(n, 3)).astype(np.float32), rng.integers(0, 255, (n, 3)).astype(np.uint8),
-        rng.integers(0, 5, n).astype(np.uint8), rng.integers(0, 720, n).astype(np.uint16), 0.04,
-        {"width": 3}, {"slits": 2.5}, rng.uniform(0.01, 1, n).astype(np.float32),
+        7,
+        12.5,
+        pose,
+        rng.normal(size=(n, 3)).astype(np.float32),
+        rng.integers(0, 255, (n, 3)).astype(np.uint8),
+        rng.integers(0, 5, n).astype(np.uint8),
+        rng.integers(0, 720, n).astype(np.uint16),
+        0.04,
+        {"width": 3},
+        {"slits": 2.5},
+        rng.uniform(0.01, 1, n).astype(np.float32),
         ring_sigma_mm=rng.uniform(0.01, 1, (5, 2)).astype(np.float32),
         slit_rad=rng.uniform(0, 0.01, 5).astype(np.float32),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("original", [profile(), profile(0), profile(0, None)], ids=["points", "none", "no pose"])
@@ -48,9 +56,15 @@ def test_a_profile_of_old_has_sigmas_nobody_knows():
 
 
 ANYTHING = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.binary(max_size=40), st.text(max_size=8),
-    st.lists(st.floats(), max_size=5), st.dictionaries(st.text(max_size=4), st.floats(), max_size=3),
-)  # fmt: skip
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.binary(max_size=40),
+    st.text(max_size=8),
+    st.lists(st.floats(), max_size=5),
+    st.dictionaries(st.text(max_size=4), st.floats(), max_size=3),
+)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

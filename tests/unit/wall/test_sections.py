@@ -43,8 +43,9 @@ def test_the_lines_cross_at_the_listed_depth(pipe: Survey) -> None:
         here = int(np.argmin(np.abs(pipe.wall.clock_deg - one.clock_deg)))
         there = int(np.argmin(np.abs(one.along_z - one.z_mm)))
         for line, datum, k2, at in (
-            (one.across, one.datum, one.across_k2, here), (one.along, one.along_datum, one.along_k2, there)
-        ):  # fmt: skip
+            (one.across, one.datum, one.across_k2, here),
+            (one.along, one.along_datum, one.along_k2, there),
+        ):
             assert line[at] - datum[at] == pytest.approx(one.departs, abs=1e-6)
             assert 0 < k2[at] < 0.5
         assert abs(one.z_mm - defect.z_mm) < defect.length_mm / 2

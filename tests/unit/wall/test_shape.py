@@ -23,9 +23,14 @@ CLOCK = np.arange(360) + 0.5
 
 
 def one_ring(
-    guess: float, *, gap_deg: float = 110.0, gap_at: float = 180.0, axis_deg: float = 30.0, third_mm: float = 0.0,
+    guess: float,
+    *,
+    gap_deg: float = 110.0,
+    gap_at: float = 180.0,
+    axis_deg: float = 30.0,
+    third_mm: float = 0.0,
     seed: int = 0,
-) -> tuple[list[Profile], int]:  # fmt: skip
+) -> tuple[list[Profile], int]:
     """Frames of a wandering head whose one ring lies 90 mm ahead, posed with a radius `guess` times the true one; and
     how many found no pipe. third_mm: a dent of three waves, which no oval follows."""
     rng = np.random.default_rng(seed)
@@ -47,10 +52,18 @@ def one_ring(
         sigma = np.full(len(t), math.hypot(NOISE_MM, BIAS_MM), np.float32)
         out.append(
             Profile(
-                i, 5.0 * i, fit.pose, fit.pose.to_pipe(points, 5.0 * i).astype(np.float32), blank, blank[:, 0],
-                (2 * clock).astype(np.uint16), fit.robust_sigma_mm, sigma_mm=sigma, lean_sigma_deg=fit.lean_sigma_deg,
+                i,
+                5.0 * i,
+                fit.pose,
+                fit.pose.to_pipe(points, 5.0 * i).astype(np.float32),
+                blank,
+                blank[:, 0],
+                (2 * clock).astype(np.uint16),
+                fit.robust_sigma_mm,
+                sigma_mm=sigma,
+                lean_sigma_deg=fit.lean_sigma_deg,
             )
-        )  # fmt: skip
+        )
     return out, lost
 
 

@@ -149,13 +149,23 @@ def wall_of(radius: np.ndarray) -> Wall:
     shape[:, 0], shape[:, 3] = mean, (radius[0, 0] - radius[0, 90]) / 2
     none = np.zeros(0)
     seen = Observations(
-        none.astype(np.int64), none.astype(np.int32), none.astype(np.float32), none.astype(np.float32),
+        none.astype(np.int64),
+        none.astype(np.int32),
+        none.astype(np.float32),
+        none.astype(np.float32),
         none.astype(np.uint8),
-    )  # fmt: skip
+    )
     sigma = np.where(np.isfinite(radius), 0.03, np.nan).astype(np.float32)
     wall = Wall(
-        np.arange(rows) * 1.0, (np.arange(columns) + 0.5) * 360 / columns, radius.astype(np.float32),
-        np.isfinite(radius).astype(np.int32), shape, np.tile(1e-6 * np.eye(5), (rows, 1, 1)), np.full(rows, 0.01),
-        np.full(radius.shape, 0.01, np.float32), seen, sigma,
-    )  # fmt: skip
+        np.arange(rows) * 1.0,
+        (np.arange(columns) + 0.5) * 360 / columns,
+        radius.astype(np.float32),
+        np.isfinite(radius).astype(np.int32),
+        shape,
+        np.tile(1e-6 * np.eye(5), (rows, 1, 1)),
+        np.full(rows, 0.01),
+        np.full(radius.shape, 0.01, np.float32),
+        seen,
+        sigma,
+    )
     return replace(wall, shape_mm=np.nan_to_num(wall.shape_mm))

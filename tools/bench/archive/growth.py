@@ -73,10 +73,16 @@ def score(found: Comparison, z: Any, roll: Any, defects: Sequence[Any], asked: S
         else:
             false += 1
     return Score(
-        float(np.percentile(off, 95)), float(np.sqrt(np.mean(turned**2))), len(errors), len(asked), false,
-        tuple(errors), within, float(np.mean(off <= 2 * laid.sigma_z_mm[ok])),
+        float(np.percentile(off, 95)),
+        float(np.sqrt(np.mean(turned**2))),
+        len(errors),
+        len(asked),
+        false,
+        tuple(errors),
+        within,
+        float(np.mean(off <= 2 * laid.sigma_z_mm[ok])),
         float(np.mean(turned <= 2 * laid.sigma_roll_deg[ok])),
-    )  # fmt: skip
+    )
 
 
 def rows() -> list[Row]:
@@ -85,17 +91,29 @@ def rows() -> list[Row]:
     bare = replace(plain, texture_rms_mm=0.0, gone=1)
     kinds = (
         ("cables 0.3 % apart", plain, True),
-        ("1 % short, from 0.7 m on, roll jumps, one repaired", replace(
-            plain, scale=-0.01, zero_mm=700, jumps_deg=(3.0, -5.0), gone=1), True),
-        ("1 % long, slips to 40 mm, gaps, one repaired", replace(
-            plain, scale=0.01, gaps_mm=(150.0, 80.0), slips_mm=(40.0, -25.0, 8.0), gone=1), True),
-        ("no roll sensor, turned by 140 deg, noise 0.07 mm", replace(plain, imu=False, roll_deg=140.0, noise_mm=0.07),
-         True),
-        ("defects on each other, ovality grown by a fifth", replace(
-            plain, crowded=True, grown=8, unchanged=8, oval_growth=0.2), True),
+        (
+            "1 % short, from 0.7 m on, roll jumps, one repaired",
+            replace(plain, scale=-0.01, zero_mm=700, jumps_deg=(3.0, -5.0), gone=1),
+            True,
+        ),
+        (
+            "1 % long, slips to 40 mm, gaps, one repaired",
+            replace(plain, scale=0.01, gaps_mm=(150.0, 80.0), slips_mm=(40.0, -25.0, 8.0), gone=1),
+            True,
+        ),
+        (
+            "no roll sensor, turned by 140 deg, noise 0.07 mm",
+            replace(plain, imu=False, roll_deg=140.0, noise_mm=0.07),
+            True,
+        ),
+        (
+            "defects on each other, ovality grown by a fifth",
+            replace(plain, crowded=True, grown=8, unchanged=8, oval_growth=0.2),
+            True,
+        ),
         ("no texture at all", bare, False),
         ("no texture, ovality grown by a fifth", replace(bare, oval_growth=0.2), False),
-    )  # fmt: skip
+    )
     table = []
     for number, (what, scene, textured) in enumerate(kinds):
         scores, began = [], time.process_time()
@@ -126,25 +144,52 @@ def _told(what: str, scores: Sequence[Score], textured: bool, took: str) -> list
     found, grown, false = (sum(getattr(one, name) for one in scores) for name in ("found", "grown", "false"))
     rms = float(np.sqrt(np.mean(errors**2))) if len(errors) else np.nan
     within = sum(one.within_k2 for one in scores)
-    z, turned, oval = (float(np.mean([getattr(one, name) for one in scores]))
-                       for name in ("z_holds", "roll_holds", "oval_holds"))  # fmt: skip
+    z, turned, oval = (
+        float(np.mean([getattr(one, name) for one in scores])) for name in ("z_holds", "roll_holds", "oval_holds")
+    )
 
     def met(good: bool, asked: bool = True) -> bool | None:
         return bool(good) if asked else None
 
     out = [
-        Row(f"{what}: place p95, worst pair", "-", f"<= {Z_P95_MM:g} mm" if textured else "-", f"{p95:.2f} mm",
-            met(p95 <= Z_P95_MM, textured)),
-        Row(f"{what}: roll rms, worst pair", "-", f"<= {ROLL_DEG:g} deg" if textured else "-", f"{roll:.2f} deg",
-            met(roll <= ROLL_DEG, textured)),
-        Row(f"{what}: k = 2 of place, of roll, holds", "-", f">= {HOLDS:g}", f"{z:.3f}, {turned:.3f}",
-            met(min(z, turned) >= HOLDS)),
-        Row(f"{what}: grown found; made up", "-", "all; none" if textured else "-; none",
-            f"{found} of {grown}; {false} ({took})", met((found == grown or not textured) and false == 0)),
-        Row(f"{what}: growth, rms; within its k = 2", "-", f"<= {ERROR_MM:g} mm; -",
-            f"{rms:.3f} mm; {within} of {found}", met(rms <= ERROR_MM)),
-    ]  # fmt: skip
+        Row(
+            f"{what}: place p95, worst pair",
+            "-",
+            f"<= {Z_P95_MM:g} mm" if textured else "-",
+            f"{p95:.2f} mm",
+            met(p95 <= Z_P95_MM, textured),
+        ),
+        Row(
+            f"{what}: roll rms, worst pair",
+            "-",
+            f"<= {ROLL_DEG:g} deg" if textured else "-",
+            f"{roll:.2f} deg",
+            met(roll <= ROLL_DEG, textured),
+        ),
+        Row(
+            f"{what}: k = 2 of place, of roll, holds",
+            "-",
+            f">= {HOLDS:g}",
+            f"{z:.3f}, {turned:.3f}",
+            met(min(z, turned) >= HOLDS),
+        ),
+        Row(
+            f"{what}: grown found; made up",
+            "-",
+            "all; none" if textured else "-; none",
+            f"{found} of {grown}; {false} ({took})",
+            met((found == grown or not textured) and false == 0),
+        ),
+        Row(
+            f"{what}: growth, rms; within its k = 2",
+            "-",
+            f"<= {ERROR_MM:g} mm; -",
+            f"{rms:.3f} mm; {within} of {found}",
+            met(rms <= ERROR_MM),
+        ),
+    ]
     if np.isfinite(oval):
-        out.append(Row(f"{what}: k = 2 of ovality's change holds", "-", f">= {HOLDS:g}", f"{oval:.3f}",
-                       met(oval >= HOLDS)))  # fmt: skip
+        out.append(
+            Row(f"{what}: k = 2 of ovality's change holds", "-", f">= {HOLDS:g}", f"{oval:.3f}", met(oval >= HOLDS))
+        )
     return out

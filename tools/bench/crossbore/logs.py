@@ -54,26 +54,40 @@ def _scored(name: str, score: dict[str, Any], took: float) -> list[Row]:
     angle = score["angle_rms_deg"]
     return [
         Row(
-            f"{name}: air and half full, found; false in 100 m", "-", "all; 0" if pose else "18 of 19; <= 0.25",
+            f"{name}: air and half full, found; false in 100 m",
+            "-",
+            "all; 0" if pose else "18 of 19; <= 0.25",
             f"{dry[0]} of {dry[1]}; {score['false_per_100m']:.2f}",
             dry[0] >= (1 if pose else 18 / 19) * dry[1] and score["false_per_100m"] <= (0 if pose else 0.25),
         ),
         Row(
-            f"{name}: water, found", "-", ">= 2/3 with loss" if pose else "-", f"{wet[0]} of {wet[1]}",
+            f"{name}: water, found",
+            "-",
+            ">= 2/3 with loss" if pose else "-",
+            f"{wet[0]} of {wet[1]}",
             wet[0] >= 2 / 3 * wet[1] if pose else None,
         ),
         Row(
-            f"{name}: near misses reported", "-", "0", f"{score['near_reported']} of {score['near_bores']}",
+            f"{name}: near misses reported",
+            "-",
+            "0",
+            f"{score['near_reported']} of {score['near_bores']}",
             score["near_reported"] == 0,
         ),
         Row(f"{name}: kind right", "-", ">= 0.90", f"{score['class_right']:.2f}", score["class_right"] >= 0.9),
         Row(
-            f"{name}: position, rms", "-", "<= 8 mm", f"{score['position_rms_mm']:.1f} mm",
+            f"{name}: position, rms",
+            "-",
+            "<= 8 mm",
+            f"{score['position_rms_mm']:.1f} mm",
             score["position_rms_mm"] <= 8,
         ),
         Row(
-            f"{name}: direction, rms", "-", "<= 12 deg", "-" if angle is None else f"{angle:.1f} deg",
+            f"{name}: direction, rms",
+            "-",
+            "<= 12 deg",
+            "-" if angle is None else f"{angle:.1f} deg",
             None if angle is None else angle <= 12,
         ),
         Row(f"{name}: from start to picture", "-", "-", f"{took:.1f} s"),
-    ]  # fmt: skip
+    ]

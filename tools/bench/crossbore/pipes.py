@@ -92,16 +92,20 @@ def _drawn(pose: bool) -> list[Row]:
     return [
         Row(
             f"{what}: air and half full, found; false in 100 m",
-            f"threshold {100 * plain_hit / count:.0f} %; {100 * plain_false / metres:.1f}", ">= 90 %; <= 0.25",
-            f"{hit} of {count}; {100 * false / metres:.2f}", hit >= 0.9 * count and 100 * false / metres <= 0.25,
+            f"threshold {100 * plain_hit / count:.0f} %; {100 * plain_false / metres:.1f}",
+            ">= 90 %; <= 0.25",
+            f"{hit} of {count}; {100 * false / metres:.2f}",
+            hit >= 0.9 * count and 100 * false / metres <= 0.25,
         ),
         _kept(f"{what}: probability of what is said, mean; right", said),
         Row(f"{what}: near misses reported", "-", "0", f"{beside} of {near}", beside == 0),
         Row(
-            f"{what}: kind right; position, rms", "-", "-",
+            f"{what}: kind right; position, rms",
+            "-",
+            "-",
             f"{right} of {named}; {np.sqrt(np.mean(np.square(off))):.1f} mm",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _other() -> Row:

@@ -322,10 +322,7 @@ def _acoustic_case(rng: Random) -> bytes:
 
 def _npz(rng: Random, sample: bytes) -> bytes:
     out = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(sample)) as archive,
-        zipfile.ZipFile(out, "w", rng.choice((0, 8, 12, 14))) as other,
-    ):
+    with zipfile.ZipFile(io.BytesIO(sample)) as archive, zipfile.ZipFile(out, "w", rng.choice((0, 8, 12, 14))) as other:
         names = archive.namelist()
         chosen = rng.choice(names)
         for name in names:
@@ -383,9 +380,16 @@ def _wall() -> bytes:
     out = io.BytesIO()
     cells = np.random.default_rng(0).integers(-200, 200, (20, 24)).astype(np.int16)
     np.savez_compressed(
-        out, format="annulus-wall/1", deviation_um=cells, shadowed=cells > 190, z_step_mm=4.0, radius_mm=76.2,
-        z_mm=100 + 4.0 * np.arange(20), clock_deg=15.0 * np.arange(24), imu_roll_deg=np.zeros(20, np.float32),
-    )  # fmt: skip
+        out,
+        format="annulus-wall/1",
+        deviation_um=cells,
+        shadowed=cells > 190,
+        z_step_mm=4.0,
+        radius_mm=76.2,
+        z_mm=100 + 4.0 * np.arange(20),
+        clock_deg=15.0 * np.arange(24),
+        imu_roll_deg=np.zeros(20, np.float32),
+    )
     return out.getvalue()
 
 

@@ -81,22 +81,29 @@ def rows() -> list[Row]:
         Row("zone's density, rms; worst angle", "-", "<= 0.3 %", f"{typical:.2f} %; {light:.2f} %", typical <= 0.3),
         Row("hi-lo where there is none, worst angle", "-", "<= 0.05 mm", f"{aside:.3f} mm", aside <= 0.05),
         Row(
-            "voids, grains and gaps found; made up", "-", "all; <= 1",
+            "voids, grains and gaps found; made up",
+            "-",
+            "all; <= 1",
             f"{found} of {len(score['defects'])}; {score['false']}",
             found == len(score["defects"]) and score["false"] <= 1,
         ),
         Row(
-            "probe's raster: shift less truth, its sigma; sense", "-", "within k = 2",
+            "probe's raster: shift less truth, its sigma; sense",
+            "-",
+            "within k = 2",
             f"{off:+.1f} deg, {scan['shift_sigma_deg']:.1f} deg; {scan['sense']}",
             scan["accepted"] and sense and abs(off) <= 2 * scan["shift_sigma_deg"],
         ),
         Row("CPU time, start and pictures included", "-", "-", f"{after.ru_utime - before.ru_utime:.1f} s"),
         Row("memory at most", "-", "<= 2 GB", f"{after.ru_maxrss / 1e6:.2f} GB", after.ru_maxrss < 2e6),
         Row(
-            f"{LARGE}^3 voxels: from start to pictures; memory", "-", f"<= {LARGE_S:g} s; <= {LARGE_GB:g} GB",
-            f"{took:.0f} s; {held:.2f} GB", took <= LARGE_S and held <= LARGE_GB,
+            f"{LARGE}^3 voxels: from start to pictures; memory",
+            "-",
+            f"<= {LARGE_S:g} s; <= {LARGE_GB:g} GB",
+            f"{took:.0f} s; {held:.2f} GB",
+            took <= LARGE_S and held <= LARGE_GB,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _large(folder: Path) -> tuple[float, float]:

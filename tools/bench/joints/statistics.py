@@ -42,10 +42,7 @@ def rows() -> list[Row]:
         ("smooth", smooth, True),
         ("one deep sector each", sector, False),
     ):
-        for how, search in (
-            ("+-40 deg, either sense", Search()),
-            ("zero and sense known", Search(0.0, senses=(1,))),
-        ):
+        for how, search in (("+-40 deg, either sense", Search()), ("zero and sense known", Search(0.0, senses=(1,)))):
             rng, told = np.random.default_rng(15), []
             for study in range(STUDIES):
                 feature, strengths = moving_mean(PHI, make(rng), 20.0), Strengths(ANGLES, make(rng)[::45])

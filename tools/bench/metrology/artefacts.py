@@ -62,15 +62,19 @@ def reference_rows() -> Iterable[Row]:
         literal = error(before) - first[before.ring, before.direction]
         yield Row(
             f"distorted slide (NP2), head {name}: radius rms before; r - r_ref + R; angle of 1 frame; of 4 frames",
-            "a uniform surface (Fig. 3.9 d)", "better than r - r_ref + R" if seed > 50 else "-",
+            "a uniform surface (Fig. 3.9 d)",
+            "better than r - r_ref + R" if seed > 50 else "-",
             f"{rms(error(before)):.2f}; {rms(literal[np.isfinite(literal)]):.2f}; {after['one']:.2f}; "
             f"{after['four']:.2f} mm",
             after["four"] < rms(literal[np.isfinite(literal)]) if seed > 50 else None,
-        )  # fmt: skip
+        )
     yield Row(
-        "the same, said by `calibrate reference` itself on frames kept out", "-", "no better than it is",
-        f"{four.after_mm:.2f} mm", four.after_mm >= after["four"],
-    )  # fmt: skip
+        "the same, said by `calibrate reference` itself on frames kept out",
+        "-",
+        "no better than it is",
+        f"{four.after_mm:.2f} mm",
+        four.after_mm >= after["four"],
+    )
 
 
 def error(profile: Profile) -> FloatArray:
@@ -103,18 +107,17 @@ def vibration_rows() -> Iterable[Row]:
     stations = [2.4 * i for i in range(80) if i % 5 != 4]
     for name, wall in (("clean pipe", pipe.round_pipe), ("a wall corrugated by 0.3 mm at 37 mm", corrugated)):
         for period in (20.0, 37.0, 60.0):
-            seen = without_inconsistent(
-                register(shaken(pipe.scan(wall, z_mm=stations, directions=360), period, 0.3))
-            )  # fmt: skip
+            seen = without_inconsistent(register(shaken(pipe.scan(wall, z_mm=stations, directions=360), period, 0.3)))
             calm, found = without_vibration(seen, fps=25.0)
             before, after = (rms(inner(build_wall(p), wall)) for p in (seen, calm))
             told = "; ".join(f"{1e3 / line.cycles_per_m:.1f} mm, {line.amplitude_mm:.3f} mm" for line in found.lines)
             yield Row(
                 f"{name}, head shaking 0.3 mm every {period:.0f} mm: rms of the map before, after; found (period, mm)",
-                "periodic patterns suppressed (§3.5.2)", "<= 20 % of the rms left, 0.3 mm found within 10 %",
+                "periodic patterns suppressed (§3.5.2)",
+                "<= 20 % of the rms left, 0.3 mm found within 10 %",
                 f"{before:.3f}, {after:.3f} mm ({100 * after / before:.0f} % left); {told or 'nothing'}",
                 len(found.lines) > 0 and after <= 0.2 * before and abs(found.lines[0].amplitude_mm / 0.3 - 1) < 0.1,
-            )  # fmt: skip
+            )
     still = without_inconsistent(register(pipe.scan(groove, z_mm=stations, directions=360)))
     quiet, none = without_vibration(still)
     noisy, some = without_vibration(
@@ -122,11 +125,12 @@ def vibration_rows() -> Iterable[Row]:
     )
     depth = [deepest(profiles) for profiles in (still, quiet, noisy)]
     yield Row(
-        "groove all round, 2 mm deep: its depth without the filter; with it; shaken and filtered", "-",
+        "groove all round, 2 mm deep: its depth without the filter; with it; shaken and filtered",
+        "-",
         "within 3 % of the first",
         f"{depth[0]:.3f}; {depth[1]:.3f} ({len(none.lines)} lines); {depth[2]:.3f} mm ({len(some.lines)} lines)",
         max(abs(d / depth[0] - 1) for d in depth) < 0.03,
-    )  # fmt: skip
+    )
 
 
 def inner(wall: Wall, true: pipe.RadiusMap) -> FloatArray:
@@ -166,9 +170,12 @@ def blind_rows() -> Iterable[Row]:
     dark = never_lit(world, wall, wide)
     before = build_wall(merged)
     yield Row(
-        "cells behind steps that no ring can light (3.24) and that carry a radius, without and with the rule", "-",
-        "-", f"{int((before.seen & dark).sum())}, {int((wall.seen & dark).sum())} of {int(dark.sum())}", None,
-    )  # fmt: skip
+        "cells behind steps that no ring can light (3.24) and that carry a radius, without and with the rule",
+        "-",
+        "-",
+        f"{int((before.seen & dark).sum())}, {int((wall.seen & dark).sum())} of {int(dark.sum())}",
+        None,
+    )
     found = find_defects(wall, shadow_ratio=1 / narrow, least_shadow_ratio=1 / wide).defects
     for feature in FEATURES:
         near = [d for d in found if abs((d.clock_deg - feature.clock_deg + 180) % 360 - 180) < 10]
@@ -177,9 +184,11 @@ def blind_rows() -> Iterable[Row]:
             yield Row(
                 f"{feature.kind} {feature.length_mm:.0f} mm long, {feature.depth_mm:.0f} mm high or deep: length, "
                 "of it hidden (3.24: widest to narrowest ring)",
-                "reads long by the blind spot (§3.5.1.2)", "-",
-                f"{d.length_mm:.0f} mm, {d.shadowed_mm:.1f} mm hidden ({least:.1f} to {most:.1f})", None,
-            )  # fmt: skip
+                "reads long by the blind spot (§3.5.1.2)",
+                "-",
+                f"{d.length_mm:.0f} mm, {d.shadowed_mm:.1f} mm hidden ({least:.1f} to {most:.1f})",
+                None,
+            )
 
 
 def never_lit(world: World, wall: Wall, wide: float) -> NDArray[np.bool_]:

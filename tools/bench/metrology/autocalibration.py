@@ -67,16 +67,35 @@ def _clean() -> list[Row]:
         print(f"   clean, draw {seed}: {together[-1]}, ring by ring {alone[-1]}", flush=True)
     one, all_ = "one ring at a time", "all rings together"
     return [
-        *_against(f"{one} (Alg. 1, as the source's 0.019 deg)", alone, ("0.019 deg, one draw", "0.125 mm, one draw"),
-                  (0.019, 0.125)),
+        *_against(
+            f"{one} (Alg. 1, as the source's 0.019 deg)",
+            alone,
+            ("0.019 deg, one draw", "0.125 mm, one draw"),
+            (0.019, 0.125),
+        ),
         *_against(f"{all_} (Alg. 2)", together, ("-", "-"), (0.005, 0.02)),
-        Row(f"{one}, the source's own directions and axis", "0.019 deg, 0.125 mm", "-",
-            f"{ring.angle_deg:.4f} deg, {ring.vertex_mm:.4f} mm", None),
-        Row(f"{all_}, the source's own directions and axis", "-", "-",
-            f"{joint.angle_deg:.4f} deg, {joint.vertex_mm:.4f} mm", None),
-        Row("solve, 8 frames, 28800 observations, cold, CPU", "-", "<= 2 s", f"{np.median(took):.2f} s",
-            float(np.median(took)) <= 2.0),
-    ]  # fmt: skip
+        Row(
+            f"{one}, the source's own directions and axis",
+            "0.019 deg, 0.125 mm",
+            "-",
+            f"{ring.angle_deg:.4f} deg, {ring.vertex_mm:.4f} mm",
+            None,
+        ),
+        Row(
+            f"{all_}, the source's own directions and axis",
+            "-",
+            "-",
+            f"{joint.angle_deg:.4f} deg, {joint.vertex_mm:.4f} mm",
+            None,
+        ),
+        Row(
+            "solve, 8 frames, 28800 observations, cold, CPU",
+            "-",
+            "<= 2 s",
+            f"{np.median(took):.2f} s",
+            float(np.median(took)) <= 2.0,
+        ),
+    ]
 
 
 def _against(what: str, draws: list[Errors], source: tuple[str, str], asked: tuple[float, float]) -> Iterator[Row]:
@@ -120,16 +139,35 @@ def _noisy() -> list[Row]:
         print(f"   noise, draw {seed}: {fixed[-1]}, cones alone {alone[-1]}, anew {fresh[-1]}", flush=True)
     (angle, vertex), (angle0, vertex0), (angle1, vertex1) = map(_columns, (fixed, alone, fresh))
     return [
-        Row("16 poses, 0.325 deg of noise in the projector: worst full angle", "0.123 deg, one draw",
-            "<= 0.025 deg, median", f"median {np.median(angle):.4f}, worst {max(angle):.4f} deg",
-            float(np.median(angle)) <= 0.025),
-        Row("the same: worst vertex component", "0.47 mm, one draw", "<= 0.04 mm, median",
-            f"median {np.median(vertex):.4f}, worst {max(vertex):.4f} mm", float(np.median(vertex)) <= 0.04),
-        Row("the same by Alg. 2 alone, no offsets allowed", "0.123 deg, 0.47 mm, one draw", "-",
-            f"{np.median(angle0):.4f} deg, {np.median(vertex0):.4f} mm", None),
-        Row(f"noise anew in each frame; these observations can tell {np.median(bound):.2f} mm (one sigma)", "-", "-",
-            f"{np.median(angle1):.3f} deg, {np.median(vertex1):.3f} mm", None),
-    ]  # fmt: skip
+        Row(
+            "16 poses, 0.325 deg of noise in the projector: worst full angle",
+            "0.123 deg, one draw",
+            "<= 0.025 deg, median",
+            f"median {np.median(angle):.4f}, worst {max(angle):.4f} deg",
+            float(np.median(angle)) <= 0.025,
+        ),
+        Row(
+            "the same: worst vertex component",
+            "0.47 mm, one draw",
+            "<= 0.04 mm, median",
+            f"median {np.median(vertex):.4f}, worst {max(vertex):.4f} mm",
+            float(np.median(vertex)) <= 0.04,
+        ),
+        Row(
+            "the same by Alg. 2 alone, no offsets allowed",
+            "0.123 deg, 0.47 mm, one draw",
+            "-",
+            f"{np.median(angle0):.4f} deg, {np.median(vertex0):.4f} mm",
+            None,
+        ),
+        Row(
+            f"noise anew in each frame; these observations can tell {np.median(bound):.2f} mm (one sigma)",
+            "-",
+            "-",
+            f"{np.median(angle1):.3f} deg, {np.median(vertex1):.3f} mm",
+            None,
+        ),
+    ]
 
 
 def _against_frames() -> list[Row]:
@@ -160,11 +198,21 @@ def _against_frames() -> list[Row]:
     plt.close(figure)
     at = FRAMES.index(4)
     return [
-        Row("4 frames: error of the rings' images in 9 other poses, one ring at a time; all together (Fig. 4.9)",
-            "-", "-", f"{curves['single'][at]:.3f}; {curves['multiple'][at]:.3f} px", None),
-        Row("the same with noise", "-", "-",
-            f"{curves['single, noise'][at]:.2f}; {curves['multiple, noise'][at]:.2f} px", None),
-    ]  # fmt: skip
+        Row(
+            "4 frames: error of the rings' images in 9 other poses, one ring at a time; all together (Fig. 4.9)",
+            "-",
+            "-",
+            f"{curves['single'][at]:.3f}; {curves['multiple'][at]:.3f} px",
+            None,
+        ),
+        Row(
+            "the same with noise",
+            "-",
+            "-",
+            f"{curves['single, noise'][at]:.2f}; {curves['multiple, noise'][at]:.2f} px",
+            None,
+        ),
+    ]
 
 
 def _growth() -> list[Row]:

@@ -41,8 +41,10 @@ def rows() -> list[Row]:
         print(f"   pipe-a in {time.monotonic() - began:.0f} s", flush=True)
         told = subprocess.run(
             [sys.executable, SCENES / "score.py", out / "cloud.ply", SCENES / "pipe-a" / "truth.json", "--json"],
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=True,
+        )
     rms = json.loads(told.stdout)["rms_mm"]
     spent = again.timing_s
     solve, decode, read = spent["solve"], spent["decode"], spent["read"]
@@ -50,12 +52,27 @@ def rows() -> list[Row]:
     return [
         Row("calibration-a, 8 frames: worst full angle", "-", "<= 0.01 deg", f"{angle:.4f} deg", bool(angle <= 0.01)),
         Row("calibration-a: worst vertex component", "-", "<= 0.05 mm", f"{vertex:.4f} mm", vertex <= 0.05),
-        Row("stated standard deviation of those, the worst", "-", "-",
-            f"{np.degrees(2 * known[:, 0].max()):.4f} deg, {known[:, 3:].max():.4f} mm", None),
+        Row(
+            "stated standard deviation of those, the worst",
+            "-",
+            "-",
+            f"{np.degrees(2 * known[:, 0].max()):.4f} deg, {known[:, 3:].max():.4f} mm",
+            None,
+        ),
         Row("radius error in frames held out", "0.34..1.12 mm, real frames", "-", f"{held:.3f} mm rms", None),
         Row("pipe-a measured with that calibration", "-", "<= 0.12 mm", f"{rms:.4f} mm rms", rms <= 0.12),
-        Row("8 frames: rings found and solved, CPU", "-", "<= 2 s",
-            f"{decode + solve:.2f} s ({decode:.2f} + {solve:.2f})", decode + solve <= 2.0),
-        Row("the same with JPEG decoding; and with hold-out and the trial of fine-tuning", "-", "-",
-            f"{read + decode + solve:.2f} s; {sum(spent.values()):.2f} s", None),
-    ]  # fmt: skip
+        Row(
+            "8 frames: rings found and solved, CPU",
+            "-",
+            "<= 2 s",
+            f"{decode + solve:.2f} s ({decode:.2f} + {solve:.2f})",
+            decode + solve <= 2.0,
+        ),
+        Row(
+            "the same with JPEG decoding; and with hold-out and the trial of fine-tuning",
+            "-",
+            "-",
+            f"{read + decode + solve:.2f} s; {sum(spent.values()):.2f} s",
+            None,
+        ),
+    ]

@@ -23,15 +23,8 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
         "solve": TIME,
         "time against": TIME,
     },
-    "fine_tuning": {
-        "": Basis(SOURCE, "own", "set on", 5),
-        "perfect rings": Basis(SOURCE, "exact", "set on", 5),
-    },
-    "calibrate_scene": {
-        "": Basis(OTHER, "own", "set on"),
-        "8 frames: rings": TIME,
-        "the same with JPEG": TIME,
-    },
+    "fine_tuning": {"": Basis(SOURCE, "own", "set on", 5), "perfect rings": Basis(SOURCE, "exact", "set on", 5)},
+    "calibrate_scene": {"": Basis(OTHER, "own", "set on"), "8 frames: rings": TIME, "the same with JPEG": TIME},
     "intrinsics": {
         "13 real": Basis(REAL, "own", "set on", 1, "nothing; the residual is the fit's own, no truth beside it"),
         "drawn photographs": Basis(TWIN, "own", "set on", 1, "3 spoilt photographs of 12, by the product"),

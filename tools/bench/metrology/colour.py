@@ -141,19 +141,23 @@ def rows() -> list[Row]:
                 read, wrong = 100 * count_.read / count_.visible, 100 * count_.wrong / max(count_.points, 1)
                 out.append(
                     Row(
-                        f"{name}{filters}; {how}: visible slit points read, wrong ring", "-", ">= 95 %, <= 0.1 %",
-                        f"{read:.1f} %, {wrong:.3f} % of {count_.visible}", read >= 95 and wrong <= 0.1,
+                        f"{name}{filters}; {how}: visible slit points read, wrong ring",
+                        "-",
+                        ">= 95 %, <= 0.1 %",
+                        f"{read:.1f} %, {wrong:.3f} % of {count_.visible}",
+                        read >= 95 and wrong <= 0.1,
                     )
-                )  # fmt: skip
+                )
                 print(out[-1].what, out[-1].measured, flush=True)
             out.append(
                 Row(
                     f"{name}{filters}; two colours most alike: as they come, seen through the profile, gains set",
-                    "Fig. 3.11", "-",
+                    "Fig. 3.11",
+                    "-",
                     "{:.0f}, {:.0f}, {:.0f} degrees apart".format(*profile.separation, again.separation[0]),
                     None,
                 )
-            )  # fmt: skip
+            )
     draw(drawn)
     return out
 

@@ -80,11 +80,21 @@ def rows(scans: int = SCANS) -> list[Row]:
         repeatability = float(np.sqrt(np.mean(spread**2)))
         what = f"pipe {100 * part:+.1f} % off nominal, {scans} scans, {seen.sum()} stations"
         out += [
-            Row(f"Diameter accuracy, {what}", "0.5 % (certified profilers, their calibration in it)", "<= 0.1 %",
-                f"{accuracy:.3f} % (mean {off.mean():+.3f} %)", accuracy <= 0.1),
-            Row(f"Diameter repeatability, {what}", "0.12 % (certified profilers, real)", "<= 0.05 %",
-                f"{repeatability:.4f} % (worst station {spread.max():.4f} %)", bool(repeatability <= 0.05)),
-        ]  # fmt: skip
+            Row(
+                f"Diameter accuracy, {what}",
+                "0.5 % (certified profilers, their calibration in it)",
+                "<= 0.1 %",
+                f"{accuracy:.3f} % (mean {off.mean():+.3f} %)",
+                accuracy <= 0.1,
+            ),
+            Row(
+                f"Diameter repeatability, {what}",
+                "0.12 % (certified profilers, real)",
+                "<= 0.05 %",
+                f"{repeatability:.4f} % (worst station {spread.max():.4f} %)",
+                bool(repeatability <= 0.05),
+            ),
+        ]
         for row in out[-2:]:
             print(row.what, "|", row.measured, flush=True)
     _draw(drawn)

@@ -85,11 +85,13 @@ def rows() -> list[Row]:
         asked = f"rms <= {case.rms_mm} mm, lean " + ("known" if case.known else "said unknown")
         out.append(
             Row(
-                f"Radius, {case.name}", "-", asked,
+                f"Radius, {case.name}",
+                "-",
+                asked,
                 f"rms {rms:.3f} mm ({len(errors)} of {FRAMES} frames, {points} points); lean off by {lean:.3f} deg, "
                 f"stated sigma {sigma:.3f}; z off by {float(np.mean(ahead)):.2f} mm rms",
                 bool(rms <= case.rms_mm and len(errors) == FRAMES and honest),
             )
-        )  # fmt: skip
+        )
         print(out[-1].what, "|", out[-1].target, "|", out[-1].measured, flush=True)
     return out

@@ -45,17 +45,31 @@ def rows() -> list[Row]:
         )
     first, then, axial, floor = (np.median(part, axis=0) for part in (before, after, shifted, best))
     out = [
-        Row(f"artefacts NP2, cones alone, held-out poses: radius error rms, median of {DRAWS}", "1.768 mm", "-",
-            f"{first[-1]:.3f} mm", None),
-        Row("fine-tuned, theta only", "0.479 mm", "<= 0.28 mm",
+        Row(
+            f"artefacts NP2, cones alone, held-out poses: radius error rms, median of {DRAWS}",
+            "1.768 mm",
+            "-",
+            f"{first[-1]:.3f} mm",
+            None,
+        ),
+        Row(
+            "fine-tuned, theta only",
+            "0.479 mm",
+            "<= 0.28 mm",
             f"{then[-1]:.3f} mm ({min(a[-1] for a in after):.3f}..{max(a[-1] for a in after):.3f})",
-            bool(then[-1] <= 0.28)),
-    ]  # fmt: skip
+            bool(then[-1] <= 0.28),
+        ),
+    ]
     for k, (source, ours, bare, base) in enumerate(zip(SOURCE, then, first, SOURCE_BEFORE, strict=False)):
         out.append(
-            Row(f"ring {k + 1}, fine-tuned (before: source {base:.3f}, here {bare:.3f})", f"{source:.4f} mm",
-                f"< {source:.4f} mm", f"{ours:.4f} mm", bool(ours < source))
-        )  # fmt: skip
+            Row(
+                f"ring {k + 1}, fine-tuned (before: source {base:.3f}, here {bare:.3f})",
+                f"{source:.4f} mm",
+                f"< {source:.4f} mm",
+                f"{ours:.4f} mm",
+                bool(ours < source),
+            )
+        )
     return [
         *out,
         Row("with a shift along the axis as well, believed to be 0.1 mm", "-", "-", f"{axial[-1]:.3f} mm", None),

@@ -89,10 +89,15 @@ def _four_steps() -> list[Row]:
             swing = float(np.ptp(top))
             left = float(np.ptp(told["ours"][:COLUMNS][100:220]))
             out += [
-                Row("Oscillation on the object of 0.1 (Fig. 6.4 b): direct", "shown", "shown", f"{swing:.2g}",
-                    swing > 1e-3),
+                Row(
+                    "Oscillation on the object of 0.1 (Fig. 6.4 b): direct",
+                    "shown",
+                    "shown",
+                    f"{swing:.2g}",
+                    swing > 1e-3,
+                ),
                 Row("the same, ours", "gone", "<= 1e-6", f"{left:.1g}", left <= 1e-6),
-            ]  # fmt: skip
+            ]
         right = {key: np.abs(off) < half for key, off in told.items()}
         both = right["ours"] & np.isfinite(told["ours"])
         bound = _rms(_bound(points, h, EVEN, noise)[both]) if noise else 0.0
@@ -105,9 +110,15 @@ def _four_steps() -> list[Row]:
         missing = f"{100 * np.mean(~both):.1f} % wrong or not told"
         if noise:
             out.append(
-                Row(f"{name}: ours over the bound", "-", "<= 1.3", f"{ours / bound:.3f} ({ours:.2g}; {missing})",
-                    ours <= 1.3 * bound, theory=f"{bound:.2g}")
-            )  # fmt: skip
+                Row(
+                    f"{name}: ours over the bound",
+                    "-",
+                    "<= 1.3",
+                    f"{ours / bound:.3f} ({ours:.2g}; {missing})",
+                    ours <= 1.3 * bound,
+                    theory=f"{bound:.2g}",
+                )
+            )
         else:
             out.append(Row("no noise: height rms, ours", "exact", "<= 1e-6", f"{ours:.1g}; {missing}", ours <= 1e-6))
     return out
@@ -147,11 +158,26 @@ def _uneven() -> list[Row]:
     rightly = _rms(_fit(points, samples, moved, noise) - h)
     scale, sigma = found[1].scale * (1 + TOLD_WRONGLY), found[1].scale_sigma
     return [
-        Row("Steps off by 30 %, told rightly: rms over that of even steps, 8 draws", "left undone (§11.2)", "<= 1.2",
-            f"{told:.3f} (worst {max(ratios[1:]):.3f})", told <= 1.2),
-        Row("told wrongly by 3 %: found, and not said of the right ones", "-", "found",
+        Row(
+            "Steps off by 30 %, told rightly: rms over that of even steps, 8 draws",
+            "left undone (§11.2)",
+            "<= 1.2",
+            f"{told:.3f} (worst {max(ratios[1:]):.3f})",
+            told <= 1.2,
+        ),
+        Row(
+            "told wrongly by 3 %: found, and not said of the right ones",
+            "-",
+            "found",
             f"{'found' if found[1].wrong else 'missed'}, {'false alarm' if found[0].wrong else 'no false alarm'}; "
-            f"scale {scale - 1:+.1%} off, sigma {sigma:.1%}", found[1].wrong and not found[0].wrong),
-        Row("the same: rms over that of right ones, as told; as the frames say", "-", "<= 1.2",
-            f"{wrongly / rightly:.3f}; {mended / rightly:.3f}", mended <= 1.2 * rightly),
-    ]  # fmt: skip
+            f"scale {scale - 1:+.1%} off, sigma {sigma:.1%}",
+            found[1].wrong and not found[0].wrong,
+        ),
+        Row(
+            "the same: rms over that of right ones, as told; as the frames say",
+            "-",
+            "<= 1.2",
+            f"{wrongly / rightly:.3f}; {mended / rightly:.3f}",
+            mended <= 1.2 * rightly,
+        ),
+    ]

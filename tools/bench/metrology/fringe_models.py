@@ -44,11 +44,20 @@ def _rows(name: str, world: World, frames: int) -> list[Row]:
     inside, as_it_is = (float(np.mean(np.abs(off[away] - less) < 2 * seen.sigma_mm[away])) for less in (common, 0.0))
     true, defects = len(world.features), len(found.survey.defects)
     return [
-        Row(f"Model {name}: radius rms; with edges; the median taken out; of that 15 mm about the middle", "shown", "-",
-            f"{rms:.4f}; {edges:.4f}; {aligned:.4f} ({common:+.4f} taken out); {best:.4f} mm"),
-        Row("defects listed, of those drawn; k = 2, the median taken out; as it is; CPU", "-", "all, none else",
-            f"{defects} of {true}; {inside:.1%}; {as_it_is:.1%}; {seconds:.0f} s", defects == true),
-    ]  # fmt: skip
+        Row(
+            f"Model {name}: radius rms; with edges; the median taken out; of that 15 mm about the middle",
+            "shown",
+            "-",
+            f"{rms:.4f}; {edges:.4f}; {aligned:.4f} ({common:+.4f} taken out); {best:.4f} mm",
+        ),
+        Row(
+            "defects listed, of those drawn; k = 2, the median taken out; as it is; CPU",
+            "-",
+            "all, none else",
+            f"{defects} of {true}; {inside:.1%}; {as_it_is:.1%}; {seconds:.0f} s",
+            defects == true,
+        ),
+    ]
 
 
 def _rms(off: FloatArray) -> float:

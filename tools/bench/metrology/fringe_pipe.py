@@ -23,9 +23,13 @@ from tools.bench.table import SCENES, Row
 
 PIPE = SCENES / "fringe-pipe-a"
 DESIGN = {
-    "kind": "rings", "centre_mm": [0.0, 0.0, -58.0], "rotation": np.eye(3).tolist(), "period_mm": 8.05,
-    "nominal_radius_mm": 101.6, "phase0": 0.0,
-}  # fmt: skip
+    "kind": "rings",
+    "centre_mm": [0.0, 0.0, -58.0],
+    "rotation": np.eye(3).tolist(),
+    "period_mm": 8.05,
+    "nominal_radius_mm": 101.6,
+    "phase0": 0.0,
+}
 PLAIN_MM = 2.0  # from any feature
 
 
@@ -81,17 +85,32 @@ def rows() -> list[Row]:
     score, sigma = one.score, float(one.calibrated.sigma[:3].max())
     measured = sum(bool(d.get("measured")) for d in score["defects"])
     return [
-        Row("Model A, 8-inch, clean pipe: the projector's place off, and its sigma", "-", "within 3 sigma",
-            f"{one.centre_mm:.3f}, {sigma:.3f} mm", one.centre_mm < 3 * sigma),
-        Row("the scan: radius rms, aligned (before)", "0.037 (0.041) mm, prototype", "<= 0.035 mm",
-            f"{score['rms_mm']:.4f} ({score['rms_before_alignment_mm']:.4f}) mm", score["rms_mm"] <= 0.035),
+        Row(
+            "Model A, 8-inch, clean pipe: the projector's place off, and its sigma",
+            "-",
+            "within 3 sigma",
+            f"{one.centre_mm:.3f}, {sigma:.3f} mm",
+            one.centre_mm < 3 * sigma,
+        ),
+        Row(
+            "the scan: radius rms, aligned (before)",
+            "0.037 (0.041) mm, prototype",
+            "<= 0.035 mm",
+            f"{score['rms_mm']:.4f} ({score['rms_before_alignment_mm']:.4f}) mm",
+            score["rms_mm"] <= 0.035,
+        ),
         Row("completeness", "0.94", ">= 0.95", f"{score['completeness']:.3f}", score["completeness"] >= 0.95),
-        Row("defects found; depths right, of 13", "12; 8", "all; 11",
-            f"{score['defects_found'].split()[0]}; {measured}", measured >= 11),
+        Row(
+            "defects found; depths right, of 13",
+            "12; 8",
+            "all; 11",
+            f"{score['defects_found'].split()[0]}; {measured}",
+            measured >= 11,
+        ),
         Row("in the defect list", "-", "13, none else", f"{len(one.defects)}", len(one.defects) == 13),
         Row("k = 2 covers", "-", "93 to 97 %", f"{one.covered:.1%}", 0.93 <= one.covered <= 0.97),
         Row("24 frames, CPU", "-", "-", f"{one.seconds:.0f} s"),
-    ]  # fmt: skip
+    ]
 
 
 def judge() -> ModuleType:

@@ -76,11 +76,16 @@ def _speed() -> list[Row]:
     flat, theta = raw.reshape(4, -1).astype(float), np.arange(4) * np.pi / 2
     plain = _best(lambda: least_squares(flat, theta))
     return [
-        Row("10^6 points from 4 frames, one core: heights and sigma", "-", "<= 0.5 s",
+        Row(
+            "10^6 points from 4 frames, one core: heights and sigma",
+            "-",
+            "<= 0.5 s",
             f"{ours:.2f} s, and {prepared:.2f} s for the frames' splines; rms {np.sqrt(np.nanmean(off**2)):.4f} mm, "
-            f"sigma says {np.nanmedian(found.sigma_mm):.4f}", ours + prepared <= 0.5),
+            f"sigma says {np.nanmedian(found.sigma_mm):.4f}",
+            ours + prepared <= 0.5,
+        ),
         Row("the same pixels by numpy's least squares: a phase only", "-", "-", f"{plain:.2f} s"),
-    ]  # fmt: skip
+    ]
 
 
 def _plate() -> list[Row]:
@@ -111,11 +116,16 @@ def _plate() -> list[Row]:
         found = steps[1].scale * (1 + TOLD_WRONGLY) - 1
         good = steps[1].wrong and not steps[0].wrong
         out.append(
-            Row(f"fringe-a {name}: motion told wrongly by 3 %, in light that may drift", "-", "found",
+            Row(
+                f"fringe-a {name}: motion told wrongly by 3 %, in light that may drift",
+                "-",
+                "found",
                 f"{'found' if steps[1].wrong else 'missed'}, "
                 f"{'false alarm' if steps[0].wrong else 'no false alarm'} of the right one; "
-                f"{found:+.1%} off, sigma {steps[1].scale_sigma:.1%}", good)
-        )  # fmt: skip
+                f"{found:+.1%} off, sigma {steps[1].scale_sigma:.1%}",
+                good,
+            )
+        )
         moved = steps[0].place_mm[:, None] * AHEAD
         noise = noise_of(heights(View.of(first, slide, moved), images, coarse, drift_sigma=DRIFT))
         slides = [("exact slide", slide)]
@@ -129,10 +139,15 @@ def _plate() -> list[Row]:
             score = _score(folder, name, x, y, pair.height_mm, pair.sigma_mm)
             most = 1.5 * PROJECTOR_RMS[name]
             out.append(
-                Row(f"fringe-a {name}: by the phase of two cameras, {what}", "-", f"<= {most:.3f} mm",
+                Row(
+                    f"fringe-a {name}: by the phase of two cameras, {what}",
+                    "-",
+                    f"<= {most:.3f} mm",
                     f"{score['rms_mm']:.4f} mm; complete {score['completeness']:.3f}, beyond 0.5 mm "
-                    f"{score['gross_over_0.5mm_percent']:.3f} %; {score['defects_found']}", score["rms_mm"] <= most)
-            )  # fmt: skip
+                    f"{score['gross_over_0.5mm_percent']:.3f} %; {score['defects_found']}",
+                    score["rms_mm"] <= most,
+                )
+            )
     return out
 
 

@@ -37,20 +37,39 @@ def rows() -> list[Row]:
             score = _score(plate, name, Path(folder))
             gross, sized = score["gross_over_0.5mm_percent"], sum(bool(d.get("measured")) for d in score["defects"])
             out += [
-                Row(f"plate, {name}: height rms", f"{prototype} mm, prototype", f"<= {asked} mm",
-                    f"{score['rms_mm']:.4f} mm", score["rms_mm"] <= asked),
-                Row("completeness; beyond 0.5 mm", "-; 0.2 %", ">= 0.994; <= 0.1 %",
-                    f"{score['completeness']:.3f}; {gross:.3f} %", score["completeness"] >= 0.994 and gross <= 0.1),
-                Row("features found; depths right, of 19", "19; 18", "all; 19",
-                    f"{score['defects_found'].split()[0]}; {sized}", sized >= 19),
+                Row(
+                    f"plate, {name}: height rms",
+                    f"{prototype} mm, prototype",
+                    f"<= {asked} mm",
+                    f"{score['rms_mm']:.4f} mm",
+                    score["rms_mm"] <= asked,
+                ),
+                Row(
+                    "completeness; beyond 0.5 mm",
+                    "-; 0.2 %",
+                    ">= 0.994; <= 0.1 %",
+                    f"{score['completeness']:.3f}; {gross:.3f} %",
+                    score["completeness"] >= 0.994 and gross <= 0.1,
+                ),
+                Row(
+                    "features found; depths right, of 19",
+                    "19; 18",
+                    "all; 19",
+                    f"{score['defects_found'].split()[0]}; {sized}",
+                    sized >= 19,
+                ),
                 Row(f"{len(plate.places_mm)} flashes of two cameras, CPU", "-", "-", f"{seconds:.0f} s"),
-            ]  # fmt: skip
+            ]
         by_cameras = reconstruct_fringe(open_fringe(PLATE / "uniform", head, "cameras"))
         score = _score(by_cameras, "uniform", Path(folder))
         out.append(
-            Row("uniform, by the cameras alone (6.4): rms; completeness", "-", "-",
-                f"{score['rms_mm']:.4f} mm; {score['completeness']:.3f}")
-        )  # fmt: skip
+            Row(
+                "uniform, by the cameras alone (6.4): rms; completeness",
+                "-",
+                "-",
+                f"{score['rms_mm']:.4f} mm; {score['completeness']:.3f}",
+            )
+        )
     return out
 
 

@@ -34,10 +34,7 @@ NOTE = (
     "pipe. Made by `python -m tools.bench metrology light`."
 )
 RADIUS_MM, SEED, FRAMES = 76.2, 39, 12
-THINGS = (
-    Thing("pocket", 118.0, 20.0, 60.0, 24.0, 2.5, 1.0),
-    Thing("bump", 150.0, 30.0, 200.0, 26.0, 2.0),
-)
+THINGS = (Thing("pocket", 118.0, 20.0, 60.0, 24.0, 2.5, 1.0), Thing("bump", 150.0, 30.0, 200.0, 26.0, 2.0))
 GLASS = Tube(9.0, 2.0)
 TOGETHER = Effects(
     bounces=5,

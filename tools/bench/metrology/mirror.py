@@ -120,13 +120,16 @@ def rows() -> list[Row]:
         Row("the same head in a 2-inch pipe", "-", "-", rms(others[0]), None),
         Row("the same head in a 4-inch pipe", "-", "-", rms(others[1]), None),
         Row(
-            "3-inch pipe: pocket, bump and groove found, false ones", "-", "3, 0",
-            f"{defects['found']}, {defects['false']}", defects["found"] == 3 and defects["false"] == 0,
+            "3-inch pipe: pocket, bump and groove found, false ones",
+            "-",
+            "3, 0",
+            f"{defects['found']}, {defects['false']}",
+            defects["found"] == 3 and defects["false"] == 0,
         ),
         Row("3-inch pipe: true radii within k = 2", "-", "-", f"{100 * three.inside:.1f} %", None),
         Row(f"calibrated by itself, {POSES} poses: largest error of a full angle", "-", "-", f"{angle:.3f} deg", None),
         Row("the pipe's radius as the ball alone tells it", "-", "-", f"{off:+.2f} mm, sigma {sd:.2f} mm", None),
-    ]  # fmt: skip
+    ]
 
 
 def draw(world: World, wall: Wall, scans: Sequence[Scan]) -> None:
@@ -144,9 +147,14 @@ def draw(world: World, wall: Wall, scans: Sequence[Scan]) -> None:
     middle.set_ylim(0)
     middle.legend()
     shown = right.imshow(
-        wall.filled_mm().T - world.radius_mm, aspect="auto", cmap="RdBu_r", vmin=-2, vmax=2,
-        extent=(float(wall.z_mm[0]), float(wall.z_mm[-1]), 12.0, 0.0), interpolation="nearest",
-    )  # fmt: skip
+        wall.filled_mm().T - world.radius_mm,
+        aspect="auto",
+        cmap="RdBu_r",
+        vmin=-2,
+        vmax=2,
+        extent=(float(wall.z_mm[0]), float(wall.z_mm[-1]), 12.0, 0.0),
+        interpolation="nearest",
+    )
     right.set(xlabel="distance, mm", ylabel="clock", title="the 3-inch wall: deviation, mm")
     figure.colorbar(shown)
     figure.savefig(TABLE.pictures / "mirror.png", dpi=90)

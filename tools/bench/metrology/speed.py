@@ -62,7 +62,7 @@ def twin_frames(world: World, count: int = 8) -> list[Image]:
     return [
         to_bgr(renderer.render(world.pose(z), float(z), 1.0, 0.0, seed=i), "bayer_rggb8")
         for i, z in enumerate(stations)
-    ]  # fmt: skip
+    ]
 
 
 def first_frames() -> tuple[str, Calibration, list[Image]]:
@@ -78,9 +78,7 @@ def first_frames() -> tuple[str, Calibration, list[Image]]:
 
 def with_rings(world: World, rings: int) -> World:
     p = world.projector
-    few = replace(
-        p, cones=p.cones[-rings:], slit_half_deg=p.slit_half_deg[-rings:], colours=p.colours[-rings - 1 :]
-    )  # fmt: skip
+    few = replace(p, cones=p.cones[-rings:], slit_half_deg=p.slit_half_deg[-rings:], colours=p.colours[-rings - 1 :])
     return replace(world, projector=few)
 
 
@@ -129,14 +127,30 @@ def rows() -> list[Row]:
     per_mpx = np.polyfit(pixels, [value["without pose"] for value in each], 1)
     title = f"{camera.width}x{camera.height}, {len(calibration.rings)} rings, {source}"
     return [
-        Row(f"image to points with sigma, {title}", f"{PROTOTYPE_MS} ms (prototype, no sigma)", f"<= {TARGET_MS:g} ms",
-            f"{main['without pose']:.2f} ms median", main["without pose"] <= TARGET_MS),
-        Row("pose, same frames", "-", f"<= {TARGET_MS:g} ms", f"{main['pose']:.2f} ms median",
-            main["pose"] <= TARGET_MS),
+        Row(
+            f"image to points with sigma, {title}",
+            f"{PROTOTYPE_MS} ms (prototype, no sigma)",
+            f"<= {TARGET_MS:g} ms",
+            f"{main['without pose']:.2f} ms median",
+            main["without pose"] <= TARGET_MS,
+        ),
+        Row(
+            "pose, same frames", "-", f"<= {TARGET_MS:g} ms", f"{main['pose']:.2f} ms median", main["pose"] <= TARGET_MS
+        ),
         Row("both", "-", "-", f"{main['total']:.2f} ms median", None),
         Row("growth with pixels", "-", "linear", f"{per_mpx[1]:.2f} ms + {per_mpx[0]:.2f} ms a megapixel", None),
-        Row("growth with rings", "-", "linear", ", ".join(
-            f"{n:g}: {value['without pose']:.2f} ms" for n, value in zip(*growth["rings"], strict=True)), None),
-        Row("growth with frames", "-", "linear", ", ".join(
-            f"{n:g}: {value['scan'] / 1e3:.2f} s" for n, value in zip(*growth["frames"], strict=True)), None),
-    ]  # fmt: skip
+        Row(
+            "growth with rings",
+            "-",
+            "linear",
+            ", ".join(f"{n:g}: {value['without pose']:.2f} ms" for n, value in zip(*growth["rings"], strict=True)),
+            None,
+        ),
+        Row(
+            "growth with frames",
+            "-",
+            "linear",
+            ", ".join(f"{n:g}: {value['scan'] / 1e3:.2f} s" for n, value in zip(*growth["frames"], strict=True)),
+            None,
+        ),
+    ]

@@ -101,10 +101,13 @@ def _table_5_1() -> list[Row]:
         Row("Table 5.1, merged with Delta = 0.04", "Fig. 5.6.i", "-", of("source")),
         Row("Table 5.1, merged by weight", "-", "below", of("ours"), bool(rms["ours"].mean() < rms["source"].mean())),
         Row(
-            f"Table 5.1, ours over the source's, worst of {360 // SECTOR_DEG} sectors", "1", "<= 1.05",
-            f"{ratio.max():.3f}", bool(ratio.max() <= 1.05),
+            f"Table 5.1, ours over the source's, worst of {360 // SECTOR_DEG} sectors",
+            "1",
+            "<= 1.05",
+            f"{ratio.max():.3f}",
+            bool(ratio.max() <= 1.05),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _noisy(course: NDArray[np.float64], random: np.random.Generator) -> Sight:
@@ -166,19 +169,28 @@ def _head_in_pipes() -> list[Row]:
         third = SOURCE_BEST_RING_MM / 3
         out += [
             Row(
-                f"{name}: radius RMSE", f"{SOURCE_ALL_MM} mm (3 in, {A_REAL_HEAD})", "<= 0.08 mm", f"{every:.4f} mm",
+                f"{name}: radius RMSE",
+                f"{SOURCE_ALL_MM} mm (3 in, {A_REAL_HEAD})",
+                "<= 0.08 mm",
+                f"{every:.4f} mm",
                 every <= 0.08,
             ),
             Row(
-                f"{name}: worst ring", f"0.2 to 0.45 mm ({A_REAL_HEAD})", f"<= {third:.3f} mm", f"{max(ring):.4f} mm",
+                f"{name}: worst ring",
+                f"0.2 to 0.45 mm ({A_REAL_HEAD})",
+                f"<= {third:.3f} mm",
+                f"{max(ring):.4f} mm",
                 max(ring) <= third,
             ),
             Row(f"{name}: directions measured", "-", "100 %", f"{share:.2f} %", share > 99.995),
             Row(
-                f"{name}: true radii inside k = 2, at the tangents", "-", "93 to 97 %",
-                f"{100 * np.mean(inside):.1f} %, {100 * np.mean(alone):.1f} %", bool(0.93 <= np.mean(inside) <= 0.97),
+                f"{name}: true radii inside k = 2, at the tangents",
+                "-",
+                "93 to 97 %",
+                f"{100 * np.mean(inside):.1f} %, {100 * np.mean(alone):.1f} %",
+                bool(0.93 <= np.mean(inside) <= 0.97),
             ),
-        ]  # fmt: skip
+        ]
     return out
 
 
@@ -221,10 +233,13 @@ def _scenes() -> list[Row]:
         row("stereo-a: coverage of what is seen", "0.984 (prototype)", 0.985, s["coverage"]["of_seen"], "", True),
         row("stereo-a: coverage where one camera sees", "0.79 (prototype)", 0.85, sum(one) / 2, "", True),
         Row(
-            "stereo-a: defects named", "-", "all 6: 4.0 2.5 0.8 1.2 deep, 4.0 3.0 high",
-            f"{len(told)}: " + ", ".join(f"{d['kind']} {d['depth_mm']:.2f}" for d in told), len(told) == DEFECTS,
+            "stereo-a: defects named",
+            "-",
+            "all 6: 4.0 2.5 0.8 1.2 deep, 4.0 3.0 high",
+            f"{len(told)}: " + ", ".join(f"{d['kind']} {d['depth_mm']:.2f}" for d in told),
+            len(told) == DEFECTS,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _scorer() -> Any:

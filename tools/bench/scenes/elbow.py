@@ -13,8 +13,12 @@ from tools.bench.scenes.judge import Check
 
 ELBOW = "elbow-a"
 BOUNDS = {  # of what score_elbow.py says, in the unit its names end in
-    "bend_radius_percent": 1.0, "angle_deg": 0.3, "plane_deg": 0.3, "start_mm": 1.5, "camera_last_mm": 3.0,
-}  # fmt: skip
+    "bend_radius_percent": 1.0,
+    "angle_deg": 0.3,
+    "plane_deg": 0.3,
+    "start_mm": 1.5,
+    "camera_last_mm": 3.0,
+}
 DENT_MM = 0.2
 ABOUT_MODEL_MM = 0.06  # robust sigma of the wall about its own model; against the world it has the bend's error, too
 NEAR_MM = 28.0  # of a true defect's middle, along the centre line: what is listed so close is that defect

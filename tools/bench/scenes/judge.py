@@ -13,9 +13,17 @@ POCKET_BIAS_MM, POCKET_LENGTH_MM, GROOVE_MM = 0.05, 5.0, 0.1
 CLOCK_DEG = 10.0  # of the hi-lo
 PLACE_MM = 3.0  # of an opening, along the pipe and round it
 BOUNDS = {  # of what a feature measures; after its kind where kinds differ
-    "height_mm": 0.5, "width_mm": 2.0, "hilo_mm": 0.2, "angle_deg": 0.15, "gap_mm": 2.5, "step_mm": 0.15,
-    "inner_d_mm": 3.0, "water level_mm": 1.0, "deposit level_mm": 0.3, "taper radius_after_mm": 0.15,
-}  # fmt: skip
+    "height_mm": 0.5,
+    "width_mm": 2.0,
+    "hilo_mm": 0.2,
+    "angle_deg": 0.15,
+    "gap_mm": 2.5,
+    "step_mm": 0.15,
+    "inner_d_mm": 3.0,
+    "water level_mm": 1.0,
+    "deposit level_mm": 0.3,
+    "taper radius_after_mm": 0.15,
+}
 SMALL_PX = 832  # pictures so wide have pixels twice as large: angles may be off twice as much
 TARGETS = (
     f"gross <= {GROSS_PERCENT} %, k2 {K2[0]:.2f} to {K2[1]:.2f} (centred), points in a gap < {IN_GAP}, nothing "
@@ -106,9 +114,10 @@ def pocket_bias(scores: Sequence[Mapping[str, Any]]) -> Check:
     """Mean error of the depths of all pockets whose floor was seen."""
     off = [
         one["depth"] - one["depth_true"]
-        for score in scores for one in score["features"]
+        for score in scores
+        for one in score["features"]
         if one["name"] == "pocket" and "depth" in one and one["floor_seen"] is not False
-    ]  # fmt: skip
+    ]
     if not off:
         return Check("pockets", "none found", None)
     mean = sum(off) / len(off)

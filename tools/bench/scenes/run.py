@@ -22,9 +22,16 @@ from tools.bench.table import SCENES
 
 SCORER = "score_real.py"
 HEAD = (
-    "scene", "rms mm (centred)", "gross >2 mm", "wrong >1 mm", "completeness", "seen",
-    "found/misnamed/missed/false", "k=2 covers (centred)", "CPU s",
-)  # fmt: skip
+    "scene",
+    "rms mm (centred)",
+    "gross >2 mm",
+    "wrong >1 mm",
+    "completeness",
+    "seen",
+    "found/misnamed/missed/false",
+    "k=2 covers (centred)",
+    "CPU s",
+)
 
 
 def main(arguments: list[str]) -> int:
@@ -33,9 +40,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--only", nargs="+", metavar="SCENE", default=[], help="names of scenes; all if not given")
     parser.add_argument("--keep", type=Path, help="folder that keeps every scene's results")
     parser.add_argument(
-        "--blind", type=int, metavar="SEED", help="instead of a folder's, what the twin draws of pipes with joints, "
+        "--blind",
+        type=int,
+        metavar="SEED",
+        help="instead of a folder's, what the twin draws of pipes with joints, "
         "a bend, an opening, water; they stay beside the results that are kept",
-    )  # fmt: skip
+    )
     asked = parser.parse_args(arguments)
     if asked.blind is not None:
         return _blind(asked.blind, asked.only, asked.keep)
@@ -135,10 +145,16 @@ def _scene(scene: Path, out: Path, score_real: ModuleType) -> tuple[list[str], d
     for line in score["false"]:
         print(f"    false: {line}")
     row = [
-        scene.name, f"{score['rms_mm']:.3f} ({score['rms_centred_mm']:.3f})", by_name["gross"],
-        f"{score['wrong_percent']:.2f} %", f"{score['completeness']:.3f}", f"{score['seen_percent']:.0f} %",
-        by_name["list"], by_name["k2"], f"{spent:.1f}",
-    ]  # fmt: skip
+        scene.name,
+        f"{score['rms_mm']:.3f} ({score['rms_centred_mm']:.3f})",
+        by_name["gross"],
+        f"{score['wrong_percent']:.2f} %",
+        f"{score['completeness']:.3f}",
+        f"{score['seen_percent']:.0f} %",
+        by_name["list"],
+        by_name["k2"],
+        f"{spent:.1f}",
+    ]
     return row, score, missed
 
 

@@ -164,10 +164,20 @@ class Work:
 
 @contextmanager
 def at_work(
-    world: World, fps: float, *, timing: FrameTiming | None = None, copied: bool = False, scan: bool = True,
-    judge: bool = True, record: str = "", more: str = "", workers: str = "count = 1", speed_mm_s: float = 2.0,
-    flash_us: float | None = None, faults: Faults = NO_FAULTS,
-) -> Iterator[Work]:  # fmt: skip
+    world: World,
+    fps: float,
+    *,
+    timing: FrameTiming | None = None,
+    copied: bool = False,
+    scan: bool = True,
+    judge: bool = True,
+    record: str = "",
+    more: str = "",
+    workers: str = "count = 1",
+    speed_mm_s: float = 2.0,
+    flash_us: float | None = None,
+    faults: Faults = NO_FAULTS,
+) -> Iterator[Work]:
     """`copied`: the head draws each picture once, see live.py. `scan`: one is under way, which is
     ended and judged (`judge`) here.
     """

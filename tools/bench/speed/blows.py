@@ -253,8 +253,11 @@ def _written(file: os.stat_result) -> float:
 
 
 _WORKS: dict[str, Callable[[Scene, Struck], bool]] = {
-    "camera": lambda scene, struck: True, "recorder": _records, "publisher": _is_seen, "worker": _reconstructs,
-}  # fmt: skip
+    "camera": lambda scene, struck: True,
+    "recorder": _records,
+    "publisher": _is_seen,
+    "worker": _reconstructs,
+}
 
 
 class Disk:
@@ -335,9 +338,13 @@ def struck(blows: Sequence[Blow], seed: int = 1, on_disk: bool = False, until_s:
         stack.enter_context(marked(str(out)))
         before = shared()
         config = replace(
-            demo_config(head, WORLD, out), record_folder=scene.folder, workers=1, slots=24,
-            publish=SocketConfig(scene.address, None), record=RecordConfig(min_free_gb=0, sync_s=1.0),
-        )  # fmt: skip
+            demo_config(head, WORLD, out),
+            record_folder=scene.folder,
+            workers=1,
+            slots=24,
+            publish=SocketConfig(scene.address, None),
+            record=RecordConfig(min_free_gb=0, sync_s=1.0),
+        )
         session = scene.session = Session(config, observer=scene, name="scan")
         course = Course(scene, blows, seed, until_s)
         try:

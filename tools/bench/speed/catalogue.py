@@ -48,22 +48,37 @@ def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, 
     table = _stations(draw, stations)
     worst = float(table["shape_ovality_f1216_percent"].max(initial=0.0))
     place = {
-        "z_mm": 500.0, "length_mm": 30.0, "clock_deg": 90.0, "arc_deg": 20.0, "depth_mm": 1.2, "depth_k2_mm": 0.1,
-        "area_mm2": 100.0, "floor_seen": True, "hidden_mm": 0.0,
-    }  # fmt: skip
+        "z_mm": 500.0,
+        "length_mm": 30.0,
+        "clock_deg": 90.0,
+        "arc_deg": 20.0,
+        "depth_mm": 1.2,
+        "depth_k2_mm": 0.1,
+        "area_mm2": 100.0,
+        "floor_seen": True,
+        "hidden_mm": 0.0,
+    }
     joint = {"z_mm": 900.0, "length_mm": 6.0, "clock_deg": 0.0, "arc_deg": 360.0, "hilo_mm": 0.4, "hilo_k2_mm": 0.1}
     summary = {
-        "format": "annulus-summary/1", "source": f"{pipe}.mcap", "created": f"{begun + timedelta(hours=3)}+00:00",
-        "job": {"pipe": pipe, "site": "Elm Street"}, "versions": {"annulus": "0.1.0"},
-        "origin": {"begun_utc": f"{begun}+00:00", "controller": {"serial": "77"}}, "points": 1000 * stations,
-        "scanned_mm": {"from": 0.0, "to": STEP_MM * stations}, "stations": stations,
+        "format": "annulus-summary/1",
+        "source": f"{pipe}.mcap",
+        "created": f"{begun + timedelta(hours=3)}+00:00",
+        "job": {"pipe": pipe, "site": "Elm Street"},
+        "versions": {"annulus": "0.1.0"},
+        "origin": {"begun_utc": f"{begun}+00:00", "controller": {"serial": "77"}},
+        "points": 1000 * stations,
+        "scanned_mm": {"from": 0.0, "to": STEP_MM * stations},
+        "stations": stations,
         "diameter_mm": {"nominal": 152.4, "mean": 152.5},
         "ovality": {"max_percent": 1.0, "shape_max_percent": worst},
-        "defects": [{"kind": "loss", **place}], "undecided": [], "features": [{"kind": "joint", **joint}],
-    }  # fmt: skip
+        "defects": [{"kind": "loss", **place}],
+        "undecided": [],
+        "features": [{"kind": "joint", **joint}],
+    }
     (folder / "summary.json").write_text(json.dumps(summary | over))
-    np.savetxt(folder / "stations.csv", np.column_stack(list(table.values())), "%.4f", ",",
-               header=",".join(table), comments="")  # fmt: skip
+    np.savetxt(
+        folder / "stations.csv", np.column_stack(list(table.values())), "%.4f", ",", header=",".join(table), comments=""
+    )
     return folder
 
 
@@ -72,13 +87,21 @@ def _stations(draw: np.random.Generator, count: int) -> dict[str, Any]:
     spread = np.round(np.abs(draw.normal(0, 0.3, count)), 4)
     ovality = np.round(draw.gamma(2.0, 0.3, count), 4)
     return {
-        "z_mm": STEP_MM * np.arange(count), "diameter_min_mm": mean - spread, "diameter_max_mm": mean + spread,
-        "diameter_mean_mm": mean, "ovality_f1216_percent": ovality + 0.1, "shape_ovality_f1216_percent": ovality,
-        "valid_fraction": np.round(draw.uniform(0.7, 1, count), 4), "diameter_k2_mm": np.full(count, 0.06),
-        "diameter_x_mm": mean + spread / 2, "diameter_y_mm": mean - spread / 2,
-        "circumference_mm": np.round(np.pi * mean, 4), "circumference_k2_mm": np.full(count, 0.2),
-        "area_mm2": np.round(np.pi * mean**2 / 4, 4), "area_k2_mm2": np.full(count, 15.0),
-    }  # fmt: skip
+        "z_mm": STEP_MM * np.arange(count),
+        "diameter_min_mm": mean - spread,
+        "diameter_max_mm": mean + spread,
+        "diameter_mean_mm": mean,
+        "ovality_f1216_percent": ovality + 0.1,
+        "shape_ovality_f1216_percent": ovality,
+        "valid_fraction": np.round(draw.uniform(0.7, 1, count), 4),
+        "diameter_k2_mm": np.full(count, 0.06),
+        "diameter_x_mm": mean + spread / 2,
+        "diameter_y_mm": mean - spread / 2,
+        "circumference_mm": np.round(np.pi * mean, 4),
+        "circumference_k2_mm": np.full(count, 0.2),
+        "area_mm2": np.round(np.pi * mean**2 / 4, 4),
+        "area_k2_mm2": np.full(count, 15.0),
+    }
 
 
 def build(archive: Path, surveys: int = SURVEYS) -> tuple[float, float, float]:
@@ -108,9 +131,13 @@ def build(archive: Path, surveys: int = SURVEYS) -> tuple[float, float, float]:
 def _like(one: SurveyRecord, pipe: str, begun: datetime, draw: np.random.Generator, made: int) -> SurveyRecord:
     stations = _stations(draw, len(one.stations["z_mm"]))
     row = dict(one.row) | {
-        "pipe": pipe, "date": begun.date(), "begun_utc": begun, "created_utc": begun + timedelta(days=made),
-        "scan": f"{begun.isoformat(timespec='milliseconds')} 77", "source": f"{pipe}-{begun.year}.mcap",
-    }  # fmt: skip
+        "pipe": pipe,
+        "date": begun.date(),
+        "begun_utc": begun,
+        "created_utc": begun + timedelta(days=made),
+        "scan": f"{begun.isoformat(timespec='milliseconds')} 77",
+        "source": f"{pipe}-{begun.year}.mcap",
+    }
     row["digest"] = digest(row, stations, one.defects, one.features)
     row["survey"] = str(row["digest"])[:ID_DIGITS]
     return SurveyRecord(row, stations, one.defects, one.features)

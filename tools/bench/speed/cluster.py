@@ -103,7 +103,7 @@ def _scan(path: Path) -> Job:
             z = float(places[i % DRAWN] + (i // DRAWN) * 60.0)
             header = FrameHeader(
                 i, None, i * 10**7, Label.PROJECTOR, "", None, None, None, z, "bayer_rggb8", *size, None
-            )  # fmt: skip
+            )
             writer.frame(header.to_dict(), raws[i % DRAWN], i * 10**7)
     return open_job(path)
 

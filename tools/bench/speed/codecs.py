@@ -75,15 +75,29 @@ def rows() -> list[Row]:
             depths = [abs(row["error"]["depth_mm"]) for row in found["rows"] if row["found"]]
             errors[codec] = cloud.rms_mm
             out += [
-                Row(f"{codec}: a frame", "-", f"<= {CPU_MS[codec]:g} ms", f"{cost_ms:.1f} ms, {size / 1e3:.0f} kB",
-                    cost_ms <= CPU_MS[codec]),
-                Row(f"{codec}: an hour at {FPS:g} fps", "-", "-", f"{size * FPS * 3600 / 1e9:.0f} GB, "
-                    f"{size * FPS / 1e6:.1f} MB/s"),
-                Row(f"{codec}: the twin's pipe", "-", f"<= raw + {WORSE_MM:g} mm", f"{cloud.rms_mm:.4f} mm rms, "
+                Row(
+                    f"{codec}: a frame",
+                    "-",
+                    f"<= {CPU_MS[codec]:g} ms",
+                    f"{cost_ms:.1f} ms, {size / 1e3:.0f} kB",
+                    cost_ms <= CPU_MS[codec],
+                ),
+                Row(
+                    f"{codec}: an hour at {FPS:g} fps",
+                    "-",
+                    "-",
+                    f"{size * FPS * 3600 / 1e9:.0f} GB, {size * FPS / 1e6:.1f} MB/s",
+                ),
+                Row(
+                    f"{codec}: the twin's pipe",
+                    "-",
+                    f"<= raw + {WORSE_MM:g} mm",
+                    f"{cloud.rms_mm:.4f} mm rms, "
                     f"{cloud.points} points, {found['found']} of {found['true']} defects, depths within "
                     f"{max(depths, default=np.nan):.3f} mm, {found['false']} false",
-                    cloud.rms_mm <= errors[Codec.RAW] + WORSE_MM and found["missed"] == found["false"] == 0),
-            ]  # fmt: skip
+                    cloud.rms_mm <= errors[Codec.RAW] + WORSE_MM and found["missed"] == found["false"] == 0,
+                ),
+            ]
             path.unlink()
         out.append(_of_preview(shots))
         if PIPE_A.is_dir():
@@ -117,9 +131,19 @@ def _record(path: Path, shots: Sequence[Shot], calibration: dict[str, Any], code
         for shot in shots:
             height, width = shot.image.shape[:2]
             header = FrameHeader(
-                shot.index, None, shot.index * 10**7, shot.label, "", None, None, None, shot.z_mm, shot.encoding,
-                width, height,
-            )  # fmt: skip
+                shot.index,
+                None,
+                shot.index * 10**7,
+                shot.label,
+                "",
+                None,
+                None,
+                None,
+                shot.z_mm,
+                shot.encoding,
+                width,
+                height,
+            )
             writer.frame(header.to_dict(), shot.image, header.timestamp_ns)
         return 1e3 * (time.process_time() - began) / len(shots), (writer.size - size) / len(shots)
 
@@ -174,8 +198,10 @@ def _told(cloud: Path) -> tuple[str, float]:
     """What the scene's own score says, in words, and the error of the radius."""
     done = subprocess.run(
         [sys.executable, SCENES / "score.py", cloud, PIPE_A / "truth.json", "--json"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     said = json.loads(done.stdout)
     off = max(abs(one["measured_mm"] - one["true_mm"]) for one in said["defects"])
     told = (

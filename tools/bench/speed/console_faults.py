@@ -30,9 +30,13 @@ FPS = 12.5
 WORLD = demo_world(travel_mm=330.0).scaled(416)
 VIEWERS = 9  # and one that never reads
 CALM, LOOKED_AT, SUSPENDED, CUT, KILLED, AFTER = (
-    "no console", "ten viewers, one never reads", "viewers suspended", "network cut", "console killed, another one",
+    "no console",
+    "ten viewers, one never reads",
+    "viewers suspended",
+    "network cut",
+    "console killed, another one",
     "no console again",
-)  # fmt: skip
+)
 SAME_PERCENT, SAME_SHARE = 2.0, 0.35  # of a core: how far two measures of one thing lie apart on a shared machine
 UNKNOWN_MORE = 0.01  # of frames: the twin too is late with a flash where the machine is too busy
 SAME_MS = 8.0  # of a turn, in the median
@@ -123,8 +127,13 @@ def struck(calm_s: float, suspended_s: float, cut_s: float) -> Outcome:
             time.sleep(calm_s)
         wires = [Wire(int(address.rpartition(":")[2])) for address in work.both.split(",")]
         try:
-            _looked_at(",".join(f"tcp://127.0.0.1:{wire.port}" for wire in wires), wires, phase, outcome,
-                       (calm_s, suspended_s, cut_s))  # fmt: skip
+            _looked_at(
+                ",".join(f"tcp://127.0.0.1:{wire.port}" for wire in wires),
+                wires,
+                phase,
+                outcome,
+                (calm_s, suspended_s, cut_s),
+            )
         finally:
             for wire in wires:
                 wire.close()

@@ -108,8 +108,15 @@ def rows(hours: float = HOURS, faster: float = FASTER) -> list[Row]:
         )
         judged = name != "page's process"  # of which the browser gives back when it likes
         flat = max(grown, SCAN_H * slope) <= FLAT_MB
-        out.append(Row(f"{name}, {hours:g} h of scan", "-", f"<= {FLAT_MB:g} MB more than after ten minutes", text,
-                       flat if judged else None))  # fmt: skip
+        out.append(
+            Row(
+                f"{name}, {hours:g} h of scan",
+                "-",
+                f"<= {FLAT_MB:g} MB more than after ten minutes",
+                text,
+                flat if judged else None,
+            )
+        )
     lost = said.get("alive") or {}
     text = f"{said['points'] / 1e6:.2f} million points held, {said['pictures']} pictures drawn; {lost}"
     out.append(Row(f"{hours:g} h in {took:.0f} s", "-", "-", f"{text}; load {os.getloadavg()[0]:.1f}"))

@@ -48,21 +48,33 @@ def viewers(seconds: float = 15.0, viewers: int = VIEWERS, browsers: int = BROWS
             _seen(work, viewers, seconds / 2)
         after = work.memory_mb()
         with serving(work.both) as (_, url):
-            eyes = subprocess.Popen(_looking(work.daemon.publish, viewers, seconds + 4.0), stdout=subprocess.PIPE,
-                                    text=True, cwd=ROOT)  # fmt: skip
+            eyes = subprocess.Popen(
+                _looking(work.daemon.publish, viewers, seconds + 4.0), stdout=subprocess.PIPE, text=True, cwd=ROOT
+            )
             shown = looked(url, browsers, seconds)
             loud = json.loads(eyes.communicate(timeout=seconds + UP_S)[0])
     grown = sum(after[name] - before[name] for name in ("daemon", "publisher"))
     whole, told = not work.problems, "; ".join(work.problems) or f"all of {work.recorded} frames recorded, none wrong"
     rows.append(_crowd(f"{viewers} viewers, beside one alone", many, P99_MS, f"alone {_late(calm)}"))
     slow = stalled["p99_ms"] <= max(P99_MS, many["p99_ms"] + SLOWED_MS)
-    rows.append(_crowd(f"{viewers} viewers, one more never reads", stalled, P99_MS,
-                       f"one alone {_late(rest)}", slow))  # fmt: skip
-    rows.append(_crowd(f"{viewers} viewers and {browsers} browsers", loud, LOUD_P99_MS,
-                       f"pictures at browsers p50 {shown['p50_ms']:.0f}, p99 {shown['p99_ms']:.0f} ms"))  # fmt: skip
-    rows.append(Row("memory of daemon and publisher, as many come and go again", "-", f"<= {GROWN_MB:g} MB more",
-                    f"{grown:+.1f} MB ({', '.join(f'{n} {mb:.0f}' for n, mb in after.items())})",
-                    grown <= GROWN_MB))  # fmt: skip
+    rows.append(_crowd(f"{viewers} viewers, one more never reads", stalled, P99_MS, f"one alone {_late(rest)}", slow))
+    rows.append(
+        _crowd(
+            f"{viewers} viewers and {browsers} browsers",
+            loud,
+            LOUD_P99_MS,
+            f"pictures at browsers p50 {shown['p50_ms']:.0f}, p99 {shown['p99_ms']:.0f} ms",
+        )
+    )
+    rows.append(
+        Row(
+            "memory of daemon and publisher, as many come and go again",
+            "-",
+            f"<= {GROWN_MB:g} MB more",
+            f"{grown:+.1f} MB ({', '.join(f'{n} {mb:.0f}' for n, mb in after.items())})",
+            grown <= GROWN_MB,
+        )
+    )
     rows.append(Row("frames of that scan", "-", "0 lost before the disk, 0 labels wrong", told, whole))
     return rows
 
@@ -114,8 +126,14 @@ def _looking(address: str, count: int, seconds: float) -> list[str]:
 
 
 def _seen(work: Work, count: int, seconds: float) -> dict[str, Any]:
-    done = subprocess.run(_looking(work.daemon.publish, count, seconds), cwd=ROOT, capture_output=True, text=True,
-                          timeout=seconds + UP_S, check=True)  # fmt: skip
+    done = subprocess.run(
+        _looking(work.daemon.publish, count, seconds),
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=seconds + UP_S,
+        check=True,
+    )
     return dict(json.loads(done.stdout))
 
 
@@ -144,8 +162,7 @@ def look(address: str, count: int, seconds: float) -> dict[str, Any]:
     cuts = statistics.quantiles([one for some in late for one in some], n=100)
     worst = max(statistics.quantiles(some, n=100)[98] for some in late)
     holes = sum(some[-1] - some[0] + 1 - len(some) for some in numbers)
-    return {"p50_ms": cuts[49], "p99_ms": cuts[98], "worst_ms": worst, "holes": holes,
-            "labels": sum(map(len, numbers))}  # fmt: skip
+    return {"p50_ms": cuts[49], "p99_ms": cuts[98], "worst_ms": worst, "holes": holes, "labels": sum(map(len, numbers))}
 
 
 def stare(address: str) -> None:

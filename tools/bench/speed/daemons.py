@@ -54,9 +54,14 @@ class Daemon:
     """A process, what it says on stderr, and a viewer of its labels."""
 
     def __init__(
-        self, out: Path, head: HeadHandle, more: str, world: World = WORLD, workers: str = "count = 1",
+        self,
+        out: Path,
+        head: HeadHandle,
+        more: str,
+        world: World = WORLD,
+        workers: str = "count = 1",
         flash_us: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.publish = address = f"tcp://127.0.0.1:{free_port()}"
         save_calibration(out / "calibration.json", world.calibration())
         here = f'\n[publish]\naddress = "{address}"\n[workers]\n{workers}\n'
@@ -69,8 +74,10 @@ class Daemon:
         code = "from annulus.cli import main; main()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, "daemon", "--config", str(out / "head.toml")],
-            env=os.environ | {MARK: self.mark, "TMPDIR": str(sockets)}, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            env=os.environ | {MARK: self.mark, "TMPDIR": str(sockets)},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         self.said: list[str] = []
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()

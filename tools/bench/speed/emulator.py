@@ -88,12 +88,13 @@ def measure(line: str, part: int, edges: int) -> Row:
     seconds = (board.now - busy) * TICK_S
     board.close()
     return Row(
-        f"{line}, {edges} edges: latency less delay; width error; pulses off the grid; wrong lamps", "-",
+        f"{line}, {edges} edges: latency less delay; width error; pulses off the grid; wrong lamps",
+        "-",
         "one constant; 0; 0; 0",
         f"{latency}; {width}; {grid} ticks ({fired} pulses); {wrong}. {bytes_out / seconds / 1000:.0f} kB/s out, "
         f"{seconds:.1f} s in {time.monotonic() - begun:.0f} s",
         latency.least == latency.most and (width.least, width.most, grid.most, wrong) == (0, 0, 0, 0),
-    )  # fmt: skip
+    )
 
 
 def rows(edges: int = 200_000) -> list[Row]:

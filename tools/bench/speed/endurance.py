@@ -18,15 +18,25 @@ from tools.bench.speed import crowd, hardship, neighbours
 from tools.bench.table import Row
 
 ROWS: Mapping[str, Callable[[], list[Row]]] = {
-    "viewers": crowd.viewers, "sixty": crowd.sixty, "four": crowd.four, "loops": hardship.loops,
-    "memory": hardship.memory, "day": neighbours.day, "second": neighbours.second, "tune": neighbours.tune,
-}  # fmt: skip
+    "viewers": crowd.viewers,
+    "sixty": crowd.sixty,
+    "four": crowd.four,
+    "loops": hardship.loops,
+    "memory": hardship.memory,
+    "day": neighbours.day,
+    "second": neighbours.second,
+    "tune": neighbours.tune,
+}
 SHORT: Mapping[str, Callable[[], list[Row]]] = {
-    **ROWS, "viewers": partial(crowd.viewers, 4.0, 40, 4), "sixty": partial(crowd.sixty, 6.0),
-    "four": partial(crowd.four, 6.0), "loops": partial(hardship.loops, 5.0, ("worker", "publisher")),
-    "memory": partial(hardship.memory, ("recorder",), console=False), "day": partial(neighbours.day, 8),
+    **ROWS,
+    "viewers": partial(crowd.viewers, 4.0, 40, 4),
+    "sixty": partial(crowd.sixty, 6.0),
+    "four": partial(crowd.four, 6.0),
+    "loops": partial(hardship.loops, 5.0, ("worker", "publisher")),
+    "memory": partial(hardship.memory, ("recorder",), console=False),
+    "day": partial(neighbours.day, 8),
     "second": partial(neighbours.second, ("everything", "recording folder")),
-}  # fmt: skip
+}
 
 
 def rows(wanted: Sequence[str] = (), short: bool = False) -> list[Row]:

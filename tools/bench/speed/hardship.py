@@ -71,9 +71,13 @@ def _loop(work: Work, role: str, seconds: float) -> Row:
     more, whole_s = work.ear.telemetry["recorded"] - recorded, time.monotonic() - began
     records = more > 0.5 * whole_s * FPS if role not in ("recorder", "camera") else True
     ok = (
-        len(victims) <= STARTS_A_SECOND * seconds + 4 and percent <= CPU_PERCENT and records and back == "back"
-        and bool(given_up) and len(told) <= LINES_MAX
-    )  # fmt: skip
+        len(victims) <= STARTS_A_SECOND * seconds + 4
+        and percent <= CPU_PERCENT
+        and records
+        and back == "back"
+        and bool(given_up)
+        and len(told) <= LINES_MAX
+    )
     text = (
         f"{len(victims)} starts, {percent:.0f} % of a core, {more} frames recorded in {whole_s:.0f} s, "
         f'{len(told)} lines; {back} {took_s:.1f} s after the last; "{(given_up or told or ["nothing"])[-1]}"'
@@ -153,8 +157,13 @@ def _console(work: Work) -> Row:
         seen = looked(url, 1, 1.0)["a_second"]["status"]
     told = _news(work.daemon.heard()[lines:])
     text = f"refused memory {said}; killed, another shows {seen:.0f} words a second; the daemon says {told or 'no'}"
-    return Row("console refused memory, then killed", "-", "the scan does not notice; another console shows it", text,
-               seen > 0 and not told and work.ear.unknown <= before + 2)  # fmt: skip
+    return Row(
+        "console refused memory, then killed",
+        "-",
+        "the scan does not notice; another console shows it",
+        text,
+        seen > 0 and not told and work.ear.unknown <= before + 2,
+    )
 
 
 def _killed(work: Work) -> Row:
@@ -174,8 +183,13 @@ def _killed(work: Work) -> Row:
         problems.append(f"the last {missing} frames are not on the disk")
     text = f"dark after {dark_s:.2f} s; on the disk up to {max(0, missing)} frames before the last label; "
     text += "; ".join(problems) or "every frame whole"
-    return Row("daemon killed, as by the OOM killer", "-", f"dark in {DARK_S:.2f} s, whole up to the last flush", text,
-               not problems and dark_s <= DARK_S)  # fmt: skip
+    return Row(
+        "daemon killed, as by the OOM killer",
+        "-",
+        f"dark in {DARK_S:.2f} s, whole up to the last flush",
+        text,
+        not problems and dark_s <= DARK_S,
+    )
 
 
 def _out_of_files(work: Work, role: str) -> Row:
@@ -215,8 +229,9 @@ def _refused(work: Work) -> Row:
     heard = max(work.ear.heard_s - began, 0.0)
     time.sleep(0.3)
     told = _news(work.daemon.heard()[lines:])
-    problems = [f"{path.name}: {one.text}" for path in recordings(work.out / "scans")
-                for one in open_recording(path).check()]  # fmt: skip
+    problems = [
+        f"{path.name}: {one.text}" for path in recordings(work.out / "scans") for one in open_recording(path).check()
+    ]
     problems += ["a traceback"] if any("Traceback" in line for line in told) else []
     if status is None:
         problems += [] if heard > ENDED_S - 2.0 else [f"it hangs: no label for {ENDED_S - heard:.0f} s"]

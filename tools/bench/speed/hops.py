@@ -22,9 +22,7 @@ from typing import Any
 ENVIRONMENT = "ANNULUS_HOPS"
 STAMP = struct.Struct("<QQQ")  # what, key, ns
 STAMPS_MAX = 1 << 17  # of one process: half an hour of 25 frames a second
-WHAT = (
-    "nothing", "read", "told", "had", "edge", "settled", "labelled", "sent", "taken", "published", "recorded",
-)  # fmt: skip
+WHAT = ("nothing", "read", "told", "had", "edge", "settled", "labelled", "sent", "taken", "published", "recorded")
 
 Key = Callable[..., int]
 

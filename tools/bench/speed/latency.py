@@ -132,8 +132,15 @@ def rows(runs: tuple[tuple[int, bool], ...] = RUNS, seconds: float = SECONDS) ->
             ok = p50 <= P50_MS and p999 <= P999_MS if is_whole else None
             counted = f" of {len(got.hops[hop])} labels" if is_whole else ""
             out.append(Row(f"{run}: {hop}", "-", target, text + counted, ok))
-        out.append(Row(f"{run}: longest turn of the daemon's loop", "-", f"< {TURN_MS:g} ms",
-                       f"{got.turn_ms:.1f} ms", got.turn_ms < TURN_MS))  # fmt: skip
+        out.append(
+            Row(
+                f"{run}: longest turn of the daemon's loop",
+                "-",
+                f"< {TURN_MS:g} ms",
+                f"{got.turn_ms:.1f} ms",
+                got.turn_ms < TURN_MS,
+            )
+        )
         cpu = ", ".join(f"{name} {percent:.1f} %" for name, percent in sorted(got.cpu_percent.items()))
         told = f"{cpu} of a core; load average {got.load:.1f}; {json.dumps(got.labels)}"
         out.append(Row(f"{run}: CPU by process", "-", "-", told))

@@ -110,9 +110,12 @@ class Live:
 
 @contextmanager
 def daemon_at_work(
-    world: World, fps: float, timing: FrameTiming | None = None, changed: Mapping[str, str] | None = None,
+    world: World,
+    fps: float,
+    timing: FrameTiming | None = None,
+    changed: Mapping[str, str] | None = None,
     tty: bool = True,
-) -> Iterator[Live]:  # fmt: skip
+) -> Iterator[Live]:
     """Once it has said its first label. `changed`: in head.toml, words for others. `tty`: the controller's line is one,
     else a socket.
     """
@@ -129,9 +132,10 @@ def daemon_at_work(
         viewer = stack.enter_context(_viewer(f"ipc://{folder.absolute()}/labels"))
         command = [sys.executable, "-m", "tools.bench.speed.hops", "annulus.cli", "daemon", "--config"]
         daemon = subprocess.Popen(
-            [*command, str(folder / "head.toml")], stderr=None if os.environ.get("BENCH_DEBUG") else subprocess.DEVNULL,
+            [*command, str(folder / "head.toml")],
+            stderr=None if os.environ.get("BENCH_DEBUG") else subprocess.DEVNULL,
             env=os.environ | {ENVIRONMENT: str(stamps)},
-        )  # fmt: skip
+        )
         stack.callback(daemon.wait)
         stack.callback(daemon.terminate)
         wait_for_labels(viewer)

@@ -35,9 +35,15 @@ def rows(frames: int = FRAMES) -> list[Row]:
         before = {int(one.name) for one in Path("/proc").iterdir() if one.name.isdigit()}
         began = time.monotonic()
         command = [
-            str(Path(sys.executable).with_name("annulus")), "reconstruct", str(folder / "scan"), "--json",
-            "-o", str(folder / "out"), "--calibration", str(folder / "scan/calibration.json"),
-        ]  # fmt: skip
+            str(Path(sys.executable).with_name("annulus")),
+            "reconstruct",
+            str(folder / "scan"),
+            "--json",
+            "-o",
+            str(folder / "out"),
+            "--calibration",
+            str(folder / "scan/calibration.json"),
+        ]
         with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
             running = subprocess.Popen(command, stdout=told, stderr=said)
             most = largest = 0.0

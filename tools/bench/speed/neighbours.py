@@ -60,8 +60,9 @@ def _second(work: Work, other: HeadHandle, same: str) -> Row:
     (folder / "head.toml").write_text(toml)
     calm, lines = work.disturbed(), len(work.daemon.heard())
     began, before = time.monotonic(), os.times()
-    done = subprocess.Popen([*ANNULUS, "daemon", "--config", str(folder / "head.toml")], stderr=subprocess.PIPE,
-                            text=True, cwd=ROOT)  # fmt: skip
+    done = subprocess.Popen(
+        [*ANNULUS, "daemon", "--config", str(folder / "head.toml")], stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
     try:
         said = done.communicate(timeout=UP_S)[1].strip().splitlines()
     except subprocess.TimeoutExpired:
@@ -75,8 +76,13 @@ def _second(work: Work, other: HeadHandle, same: str) -> Row:
     ok = done.returncode not in (0, -2) and len(named) == 1 and cpu_s <= SECOND_S and undisturbed and not told
     text = f'status {done.returncode} after {took_s:.1f} s ({cpu_s:.1f} s of processor): "{said[-1] if said else ""}"'
     text += f"; the first: {more} labels unknown" + (f", says {told}" if told else "")
-    return Row(f"another daemon, the same {same}", "-", f"one line, in {SECOND_S:g} s of processor; the first goes on",
-               text, ok)  # fmt: skip
+    return Row(
+        f"another daemon, the same {same}",
+        "-",
+        f"one line, in {SECOND_S:g} s of processor; the first goes on",
+        text,
+        ok,
+    )
 
 
 def _own(work: Work, other: HeadHandle, same: str) -> str:
@@ -112,9 +118,13 @@ def tune() -> list[Row]:
         with _tuning(work) as one:
             said = _ended(one)
         undisturbed, more = work.undisturbed(calm)
-        judged("tune while a scan is recorded", "refused in one line, the scan goes on",
-               one.returncode == 1 and len(said) == 1 and undisturbed and work.client.state() is State.SCANNING,
-               f'"{said[-1]}"; {more} labels unknown', dark=False)  # fmt: skip
+        judged(
+            "tune while a scan is recorded",
+            "refused in one line, the scan goes on",
+            one.returncode == 1 and len(said) == 1 and undisturbed and work.client.state() is State.SCANNING,
+            f'"{said[-1]}"; {more} labels unknown',
+            dark=False,
+        )
         work.client.stop()
 
         with _tuning(work) as one:
@@ -123,12 +133,19 @@ def tune() -> list[Row]:
                 refused = _ended(two)
             asked = _refusals(work)
             taken = _ended(one)
-        judged("two tunes at once", "the second is refused in one line, the first ends well",
-               one.returncode == 0 and two.returncode == 1 and len(refused) == 1,
-               f'"{refused[-1]}"; the first: status {one.returncode}, "{taken[-1]}"')  # fmt: skip
+        judged(
+            "two tunes at once",
+            "the second is refused in one line, the first ends well",
+            one.returncode == 0 and two.returncode == 1 and len(refused) == 1,
+            f'"{refused[-1]}"; the first: status {one.returncode}, "{taken[-1]}"',
+        )
         held = [name for name, answer in asked.items() if "commands" not in answer]
-        judged("an operator starts, sets lamps, holds, zeroes during tune", "all refused: tune commands", not held,
-               f"done: {held}" if held else f'"{asked["start"]}"')  # fmt: skip
+        judged(
+            "an operator starts, sets lamps, holds, zeroes during tune",
+            "all refused: tune commands",
+            not held,
+            f"done: {held}" if held else f'"{asked["start"]}"',
+        )
 
         with _tuning(work) as one, ControlClient(work.control, who=OPERATOR) as operator:
             _under_way(work)
@@ -143,9 +160,12 @@ def tune() -> list[Row]:
             until(lambda: work.client.state() is State.SCANNING, "his scan has no labels")
             operator.stop()
             operator.release()
-        judged("an operator takes the command, ends the trial and scans", "tune ends in one line, his scan goes on",
-               one.returncode == 1 and len(said) == 1 and goes_on,
-               f'"{said[-1]}"; his scan goes on: {goes_on}')  # fmt: skip
+        judged(
+            "an operator takes the command, ends the trial and scans",
+            "tune ends in one line, his scan goes on",
+            one.returncode == 1 and len(said) == 1 and goes_on,
+            f'"{said[-1]}"; his scan goes on: {goes_on}',
+        )
 
         with _tuning(work) as one:
             _under_way(work)
@@ -166,8 +186,13 @@ def _lit(work: Work) -> list[str]:
 
 @contextmanager
 def _tuning(work: Work) -> Iterator["subprocess.Popen[str]"]:
-    one = subprocess.Popen([*ANNULUS, "tune", "--daemon", work.both, "--lamp", "led"], stdout=subprocess.DEVNULL,
-                           stderr=subprocess.PIPE, text=True, cwd=ROOT)  # fmt: skip
+    one = subprocess.Popen(
+        [*ANNULUS, "tune", "--daemon", work.both, "--lamp", "led"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
     try:
         yield one
     finally:
@@ -194,10 +219,13 @@ def _refusals(work: Work) -> dict[str, str]:
     out = {}
     with ControlClient(work.control, who=OPERATOR) as operator:
         wants: dict[str, Callable[[], Any]] = {
-            "start": operator.start, "hold": operator.hold, "zero": operator.zero, "command": operator.command,
+            "start": operator.start,
+            "hold": operator.hold,
+            "zero": operator.zero,
+            "command": operator.command,
             "lamps": lambda: operator.lamps(commit=True, trial=True, led_width_us=900.0),
             "exposure": lambda: operator.lamps(commit=True, led_delay_us=100.0, led_width_us=100.0),
-        }  # fmt: skip
+        }
         for name, ask in wants.items():
             try:
                 out[name] = f"done: {ask()}"
@@ -231,8 +259,15 @@ def day(cycles: int = 24) -> list[Row]:
         slope = _slope(mb[name][warm:])
         grows = DAY_CYCLES * slope
         text = f"descriptors {first} -> {last}; {mb[name][-1]:.0f} MB, {grows:+.0f} MB a day"
-        rows.append(Row(f"{name}, {cycles} cycles", "-", f"0 descriptors more, <= {DAY_MB:g} MB a day of {DAY_CYCLES}",
-                        text, last <= first and grows <= DAY_MB))  # fmt: skip
+        rows.append(
+            Row(
+                f"{name}, {cycles} cycles",
+                "-",
+                f"0 descriptors more, <= {DAY_MB:g} MB a day of {DAY_CYCLES}",
+                text,
+                last <= first and grows <= DAY_MB,
+            )
+        )
     return [*rows, Row("daemon's words", "-", "no internal error", "; ".join(said) or "none", not said)]
 
 

@@ -22,10 +22,16 @@ from tools.bench.speed.viewers import BAR_STEP_PX, PICTURES, Console, cpu_s
 from tools.bench.table import Row
 
 ARGUMENTS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
     "--enable-precise-memory-info",
-)  # fmt: skip
+)
 WIDTH, HEIGHT = 1400, 900
 SECONDS = 20.0
 PIXEL_MS = 100.0  # 95 of 100 labels

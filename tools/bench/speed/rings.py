@@ -83,8 +83,11 @@ def rows() -> list[Row]:
     mosaic = np.ascontiguousarray(images[0].max(axis=2))
     demosaic = statistics.median(timed(lambda: cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2BGR)) for _ in range(20))
     k = np.array([*camera.distortion, 0, 0, 0, 0, 0][:5] if camera.model == "pinhole" else np.zeros(5))
-    tables = list(cv2.initUndistortRectifyMap(camera.matrix, k, np.eye(3), camera.matrix,
-                                              (camera.width, camera.height), cv2.CV_16SC2))  # fmt: skip
+    tables = list(
+        cv2.initUndistortRectifyMap(
+            camera.matrix, k, np.eye(3), camera.matrix, (camera.width, camera.height), cv2.CV_16SC2
+        )
+    )
     hand = statistics.median(timed(lambda i=i: by_hand(i, calibration, tables)) for i in images[:20])
     median = {name: statistics.median(values) for name, values in stages.items()}
     what = f"{camera.width}x{camera.height}, {len(calibration.rings)} rings, {scan.name if scan else 'drawn'}"

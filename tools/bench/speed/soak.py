@@ -13,10 +13,31 @@ from tools.bench.table import Row, line, section
 MANY, FRAMES, SEED = 1_000_000, 100_000, 1
 UNKNOWN_MAX, RELOCK_MAX, SECONDS_MAX = 0.025, 8, 300.0
 EACH = (
-    "five-steps", "stamp-steps", "stamps-ahead", "stamps-late", "drift", "drift-slow", "drift-50", "drift-turns",
-    "one-stamp-late", "torn", "repeated", "frozen", "part-steps", "ratio-0", "ratio-1", "same-boot", "resets",
-    "winch-at-rest", "disconnects", "counts", "stalls", "late", "unplugged", "rough",
-)  # fmt: skip
+    "five-steps",
+    "stamp-steps",
+    "stamps-ahead",
+    "stamps-late",
+    "drift",
+    "drift-slow",
+    "drift-50",
+    "drift-turns",
+    "one-stamp-late",
+    "torn",
+    "repeated",
+    "frozen",
+    "part-steps",
+    "ratio-0",
+    "ratio-1",
+    "same-boot",
+    "resets",
+    "winch-at-rest",
+    "disconnects",
+    "counts",
+    "stalls",
+    "late",
+    "unplugged",
+    "rough",
+)
 
 NOTE = (
     "Wrong: a lamp or a place. Unknown: share of all frames, those included in which nothing could be known. Relock:"

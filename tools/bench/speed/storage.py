@@ -66,10 +66,15 @@ def _far(folder: Path, store: ObjectStore) -> list[Row]:
     needed = sum(frame.chunk.length for frame in which if frame.chunk is not None)
     _, told = _asked(store, lambda: _read(recording, which))
     share = store.given / needed
-    out.append(Row(
-        f"a range of {len(which)} frames", "-", f"<= {SHARE_MAX} of its chunks", f"{told}; {share:.3f} of its chunks",
-        share <= SHARE_MAX,
-    ))  # fmt: skip
+    out.append(
+        Row(
+            f"a range of {len(which)} frames",
+            "-",
+            f"<= {SHARE_MAX} of its chunks",
+            f"{told}; {share:.3f} of its chunks",
+            share <= SHARE_MAX,
+        )
+    )
     torn = store.put("torn.mcap", path.read_bytes()[: int(0.95 * size)])
     _, told = _asked(store, lambda: open_recording(torn))
     share = store.given / (0.95 * size)
@@ -85,10 +90,19 @@ def _write(path: Path, frames: int, width: int, height: int) -> None:
     with RecordingWriter(path, calibration=None, configuration={}, now_ns=0, codec=codec, previews=False) as writer:
         for n in range(frames):
             label = {
-                "index": n, "camera": 0, "timestamp_ns": n * 40_000_000, "label": "projector" if n % 5 else "led",
-                "z_mm": 0.5 * n, "roll_deg": 0.01 * n, "slot": n % 5, "edge": n + 7, "confidence": "proved",
-                "encoding": "bayer_rggb8", "width": width, "height": height,
-            }  # fmt: skip
+                "index": n,
+                "camera": 0,
+                "timestamp_ns": n * 40_000_000,
+                "label": "projector" if n % 5 else "led",
+                "z_mm": 0.5 * n,
+                "roll_deg": 0.01 * n,
+                "slot": n % 5,
+                "edge": n + 7,
+                "confidence": "proved",
+                "encoding": "bayer_rggb8",
+                "width": width,
+                "height": height,
+            }
             if n % 4 == 0:
                 writer.note("/sensor/imu", {"t": n, "gyro": [0.1, 0.2, 0.3]}, n * 40_000_000, n)
             writer.frame(label, image, n * 40_000_000)

@@ -207,9 +207,14 @@ async def look(url: str, count: int, seconds: float) -> dict[str, Any]:
     cuts = statistics.quantiles(latency, n=100) if len(latency) > 10 else [0.0] * 99
     rates = {kind: min(one[kind] for one in seen) / seconds for kind in KINDS.values()}
     return {
-        "p50_ms": cuts[49], "p95_ms": cuts[94], "p99_ms": cuts[98], "max_ms": max(latency, default=0.0),
-        "a_second": rates, "dropped": dropped, "pictures": len(latency),
-    }  # fmt: skip
+        "p50_ms": cuts[49],
+        "p95_ms": cuts[94],
+        "p99_ms": cuts[98],
+        "max_ms": max(latency, default=0.0),
+        "a_second": rates,
+        "dropped": dropped,
+        "pictures": len(latency),
+    }
 
 
 def stare(url: str) -> None:

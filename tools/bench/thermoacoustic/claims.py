@@ -12,11 +12,7 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
     "solver": {"": CLOSED},
     "imaging": {"": PLANE},
     "sound_speed": {"": PLANE},
-    "microwaves": {
-        "": CLOSED,
-        "three shapes": PLANE,
-        "image's": PLANE,
-    },
+    "microwaves": {"": CLOSED, "three shapes": PLANE, "image's": PLANE},
     "coded": {"": PLANE},
     "wires": {"": PLANE, "2 kW": Basis(TWIN, "exact", "set on", 100)},
 }

@@ -31,38 +31,52 @@ def rows() -> list[Row]:
     change = middle / fine - 1
     table += [
         Row(
-            "WR340 into oil, disc of 20 mm: power absorbed of 1 kW, 1 mm against 0.5 mm", "-", "within 2 %",
-            f"{middle:.1f} and {fine:.1f} W, {100 * change:+.2f} % (2 mm: {coarse:.1f} W)", abs(change) <= 0.02,
+            "WR340 into oil, disc of 20 mm: power absorbed of 1 kW, 1 mm against 0.5 mm",
+            "-",
+            "within 2 %",
+            f"{middle:.1f} and {fine:.1f} W, {100 * change:+.2f} % (2 mm: {coarse:.1f} W)",
+            abs(change) <= 0.02,
         ),
+        Row("magnitude of its S11, 1 mm and 0.5 mm", "-", "-", f"{found[1.0][1]:.3f} and {found[0.5][1]:.3f}"),
         Row(
-            "magnitude of its S11, 1 mm and 0.5 mm", "-", "-",
-            f"{found[1.0][1]:.3f} and {found[0.5][1]:.3f}",
-        ),
-        Row(
-            "the same guide into air: S11", "-12 dB (3-D)", "-",
+            "the same guide into air: S11",
+            "-12 dB (3-D)",
+            "-",
             f"{20 * math.log10(microwaves.reflection_into_air()):.1f} dB (2-D)",
         ),
         Row(
-            "120 x 30 mm before WR340: conductivity of the largest loss, eps_r 1 and 3", "deviates from plane wave",
-            "-", f"{best['guide_1_at_s_m']:.2f} and {best['guide_3_at_s_m']:.2f} S/m",
+            "120 x 30 mm before WR340: conductivity of the largest loss, eps_r 1 and 3",
+            "deviates from plane wave",
+            "-",
+            f"{best['guide_1_at_s_m']:.2f} and {best['guide_3_at_s_m']:.2f} S/m",
         ),
         Row(
-            "three shapes heard from a line: centres off (Fig. 7.5)", "found", "<= 0.3 mm",
+            "three shapes heard from a line: centres off (Fig. 7.5)",
+            "found",
+            "<= 0.3 mm",
             ", ".join(f"{shapes[f'{name}_off_mm']:.2f}" for name in ("disc", "square", "rectangle")) + " mm",
-            all(shapes[f"{name}_off_mm"] <= 0.3 for name in ("disc", "square", "rectangle")), theory="0",
+            all(shapes[f"{name}_off_mm"] <= 0.3 for name in ("disc", "square", "rectangle")),
+            theory="0",
         ),
         Row(
-            "signal of a 12 mm disc at 2.32 S/m over that at 0.84 S/m (Fig. 7.6a)", "rises", "rises",
-            f"{swing['swing_2.32_s_m']:.2f}", swing["swing_2.32_s_m"] > 1,
+            "signal of a 12 mm disc at 2.32 S/m over that at 0.84 S/m (Fig. 7.6a)",
+            "rises",
+            "rises",
+            f"{swing['swing_2.32_s_m']:.2f}",
+            swing["swing_2.32_s_m"] > 1,
         ),
         Row(
-            "mean wavelength, pulse 0.3 and 0.9 us (Fig. 7.8a)", "rises", "rises",
+            "mean wavelength, pulse 0.3 and 0.9 us (Fig. 7.8a)",
+            "rises",
+            "rises",
             f"{pulse['wavelength_0.3_us_mm']:.1f}, {pulse['wavelength_0.9_us_mm']:.1f} mm",
             pulse["wavelength_0.9_us_mm"] > pulse["wavelength_0.3_us_mm"],
         ),
         Row(
-            "image's likeness to the loss, pulse of 40 ns and 4 us (Fig. 7.8b)", "blurred", "-",
+            "image's likeness to the loss, pulse of 40 ns and 4 us (Fig. 7.8b)",
+            "blurred",
+            "-",
             f"{pulse['correlation_40_ns']:.2f}, {pulse['correlation_4_us']:.2f}",
         ),
-    ]  # fmt: skip
+    ]
     return table

@@ -83,29 +83,34 @@ def rows() -> list[Row]:
     ears = receivers(grid, 12.0 * np.stack([np.cos(angles[::16]), np.sin(angles[::16])], axis=1))
     traces = np.zeros((len(cells), 859))
     busy = os.getloadavg()[0]
-    forward, reverse = (
-        timed(lambda: solver.forward(source, ears, 859)), timed(lambda: solver.reverse(traces, cells))
-    )  # fmt: skip
+    forward, reverse = (timed(lambda: solver.forward(source, ears, 859)), timed(lambda: solver.reverse(traces, cells)))
     free = busy < 1.0
     note = "" if free else f"; other work at the time, load {busy:.1f}: judged by CPU"
 
     def clock(what: str, asked: float, taken: tuple[float, float], known: str) -> Row:
         judged = taken[0] if free else taken[1]
         return Row(
-            what, known, f"<= {asked:g} s on 2 cores",
-            f"{taken[0]:.1f} s, {taken[1]:.1f} s CPU of the busier thread{note}", judged <= asked,
-        )  # fmt: skip
+            what,
+            known,
+            f"<= {asked:g} s on 2 cores",
+            f"{taken[0]:.1f} s, {taken[1]:.1f} s CPU of the busier thread{note}",
+            judged <= asked,
+        )
 
     return [
         Row(
-            "a Gaussian's sound, float32: relative L2 error", "-", "<= 5e-6", f"{exact['float32']:.1e}",
-            exact["float32"] <= 5e-6, theory="0",
+            "a Gaussian's sound, float32: relative L2 error",
+            "-",
+            "<= 5e-6",
+            f"{exact['float32']:.1e}",
+            exact["float32"] <= 5e-6,
+            theory="0",
         ),
         Row("the same in float64", "-", "<= 5e-6", f"{exact['float64']:.1e}", exact["float64"] <= 5e-6, theory="0"),
         clock("300 x 300 cells, 859 steps, forward", 3.0, forward, "-"),
         clock("300 x 300 cells, 859 steps, time reversal", 2.0, reverse, "-"),
         beside_kwave(forward[0]),
-    ]  # fmt: skip
+    ]
 
 
 def beside_kwave(own_s: float) -> Row:
@@ -128,9 +133,12 @@ def beside_kwave(own_s: float) -> Row:
     sensor.mask = np.hypot(grid.x, grid.y) > 11.9e-3
     began = time.perf_counter()
     kspaceFirstOrder2D(
-        kgrid=grid, source=source, sensor=sensor, medium=kWaveMedium(sound_speed=SPEED),
+        kgrid=grid,
+        source=source,
+        sensor=sensor,
+        medium=kWaveMedium(sound_speed=SPEED),
         simulation_options=SimulationOptions(pml_inside=False, save_to_disk=True),
         execution_options=SimulationExecutionOptions(is_gpu_simulation=False),
-    )  # fmt: skip
+    )
     taken = time.perf_counter() - began
     return Row(what, "-", "3 times slower", f"{taken:.1f} s, {taken / own_s:.1f} times", taken >= 3 * own_s)

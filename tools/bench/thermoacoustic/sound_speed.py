@@ -27,8 +27,16 @@ def in_space() -> Iterable[tuple[str, Sweep]]:
     for count, seed in ((3, 1), (12, 3)):
         rng = np.random.default_rng(seed)
         far, turn = 10.0 * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
-        parts = np.stack([far * np.cos(turn), far * np.sin(turn), rng.normal(0, 0.3, count),
-                          rng.uniform(0.3, 1.5, count), rng.uniform(0.3, 1.0, count)], axis=1)  # fmt: skip
+        parts = np.stack(
+            [
+                far * np.cos(turn),
+                far * np.sin(turn),
+                rng.normal(0, 0.3, count),
+                rng.uniform(0.3, 1.5, count),
+                rng.uniform(0.3, 1.0, count),
+            ],
+            axis=1,
+        )
         for name, band in BANDS.items():
             signals = through(spheres(parts), Setup(sampling_rate_hz=RATE, transducer=band))
             yield f"{count} spheres in space, {name}", noisy(Sweep(signals, ANGLES, RADIUS, RATE, 0.0, C))
@@ -59,13 +67,14 @@ def rows() -> list[Row]:
             planes, told_apart = planes + (arrival == "plane"), told_apart + (right and arrival == "plane")
             table.append(
                 Row(
-                    f"speed of sound, {what}", "-",
+                    f"speed of sound, {what}",
+                    "-",
                     f"within {100 * WITHIN:g} %" + (", told by agreement" if arrival == "space" else ""),
                     f"{100 * off:+.3f} %, agreement {found.agreement:.3f}; taken for the other "
                     f"{100 * (other.sound_speed_m_s / C - 1):+.2f} %, {other.agreement:.3f}",
                     abs(off) <= WITHIN and (right or arrival == "plane"),
                 )
-            )  # fmt: skip
+            )
             accused += len(disagreeing(sweep, arrival))
             for position in DAMAGED:
                 signals = sweep.signals.copy()

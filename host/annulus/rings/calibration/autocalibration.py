@@ -136,8 +136,9 @@ def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], Non
     first = replace(
         alone[0], poses=tuple(every), cameras=tuple(placed), colour_shift_px=np.zeros((seen.tint.shape[1] // 4, 4))
     )
-    few = Bundle(seen.take(_thinned(seen, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
-                 whole.corrections)  # fmt: skip
+    few = Bundle(
+        seen.take(_thinned(seen, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius, whole.corrections
+    )
     _, x = few.descend(packed(first), robust=True, settled=NEAR)
     return x, runner_up
 

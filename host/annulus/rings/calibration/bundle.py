@@ -62,9 +62,14 @@ class Bundle:
     tint, how far each colour's image is off, alike in all cameras, which are of one make: JPEG's chroma does it."""
 
     def __init__(
-        self, seen: Observations, rings: int, frames: int, radius: float, corrections: FloatArray,
+        self,
+        seen: Observations,
+        rings: int,
+        frames: int,
+        radius: float,
+        corrections: FloatArray,
         flat: tuple[bool, ...] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.seen, self.rings, self.frames, self.radius, self.corrections = seen, rings, frames, radius, corrections
         self.place, self.middle = np.zeros(len(seen)), np.zeros(len(seen))
         self.error, self.rows = np.empty(len(seen)), np.zeros((len(seen), 17 + seen.tint.shape[1]))
@@ -125,9 +130,21 @@ class Bundle:
             self.head = self.seen.in_head(_placements(cameras))
         seen = self.head
         errors(
-            seen.frame, seen.ring, seen.rays, seen.origins, seen.width if middles else seen.width[:0], cones, poses,
-            turns, self.radius, self.corrections, self.place, self.middle, self.error, self.rows,
-        )  # fmt: skip
+            seen.frame,
+            seen.ring,
+            seen.rays,
+            seen.origins,
+            seen.width if middles else seen.width[:0],
+            cones,
+            poses,
+            turns,
+            self.radius,
+            self.corrections,
+            self.place,
+            self.middle,
+            self.error,
+            self.rows,
+        )
         self.shift = shift
         if self.cameras > 1 or len(shift):
             turns = np.stack([np.eye(3), *(turned_by(row[:3]) for row in cameras)])
@@ -311,11 +328,24 @@ class Bundle:
         off = (float(pulled / known), float(known**-0.5)) if known > 1e-9 * matrix[n, n] else (0.0, math.inf)
         rings, poses = self._unpacked(x)
         return Solution(
-            rings, poses, self.radius,
-            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 10].copy(),
-            scale, length, cover, runner_up, off, self.flat, _placements(self._split(x)[2]), placed @ placed.T,
+            rings,
+            poses,
+            self.radius,
+            self.error.copy(),
+            relative,
+            self.rows[:, 0].copy(),
+            self._axial(x),
+            self.rows[:, 10].copy(),
+            scale,
+            length,
+            cover,
+            runner_up,
+            off,
+            self.flat,
+            _placements(self._split(x)[2]),
+            placed @ placed.T,
             self.shift.reshape(-1, 4).copy(),
-        )  # fmt: skip
+        )
 
     def _alike(self, weight: FloatArray) -> FloatArray:
         """(n, C K STRETCHES) how each stretch of a ring's image in one camera, a px off, pulls at the unknowns."""

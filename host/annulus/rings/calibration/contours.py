@@ -96,9 +96,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Conto
         course = _course(ring, slits.direction, slits.position, shape)
         stray = (slits.position - course[:, slits.direction]).T
         gap = _gap(course, grid.spacing_px)[:, slits.direction].T
-        ring = decode(
-            slits.direction, inside, outside, np.where(allowed, stray / gap, np.nan), colours, WANDER / 0.65
-        )  # fmt: skip
+        ring = decode(slits.direction, inside, outside, np.where(allowed, stray / gap, np.nan), colours, WANDER / 0.65)
     return _kept(image_bgr, grid, slits, ring, stray)
 
 

@@ -41,9 +41,7 @@ def fit_corrections(
     """
     corrections = np.zeros((len(solution.rings), 2, directions))
     for _ in range(ROUNDS):
-        solution = calibrate(
-            seen, solution.radius_mm, start=solution, corrections=corrections, directions=directions
-        )  # fmt: skip
+        solution = calibrate(seen, solution.radius_mm, start=solution, corrections=corrections, directions=directions)
         more, explained = _offsets(seen, solution, directions, axial_mm)
         corrections += more
         solution = replace(solution, error_px=solution.error_px - explained)

@@ -49,9 +49,14 @@ class Observations:
 
     def take(self, which: NDArray[np.int64]) -> "Observations":
         return Observations(
-            self.frame[which], self.ring[which], self.rays[which], self.origins[which], self.width[which],
-            self.camera[which], self.tint[which],
-        )  # fmt: skip
+            self.frame[which],
+            self.ring[which],
+            self.rays[which],
+            self.origins[which],
+            self.width[which],
+            self.camera[which],
+            self.tint[which],
+        )
 
     def in_head(self, cameras: Sequence[Placement]) -> "Observations":
         """The same with every ray in the first camera's frame. cameras : of those after the first."""
@@ -66,11 +71,14 @@ class Observations:
 def joined(parts: Sequence[Observations]) -> Observations:
     """What several cameras saw, one after the other, each numbered by its place in `parts`."""
     return Observations(
-        np.concatenate([p.frame for p in parts]), np.concatenate([p.ring for p in parts]),
-        np.concatenate([p.rays for p in parts]), np.concatenate([p.origins for p in parts]),
-        np.concatenate([p.width for p in parts]), np.repeat(np.arange(len(parts)), [len(p) for p in parts]),
+        np.concatenate([p.frame for p in parts]),
+        np.concatenate([p.ring for p in parts]),
+        np.concatenate([p.rays for p in parts]),
+        np.concatenate([p.origins for p in parts]),
+        np.concatenate([p.width for p in parts]),
+        np.repeat(np.arange(len(parts)), [len(p) for p in parts]),
         np.concatenate([p.tint for p in parts]),
-    )  # fmt: skip
+    )
 
 
 def observe(
@@ -90,10 +98,13 @@ def observe(
     places = np.stack([pixels - RAY_STEP_PX * way, pixels, pixels + RAY_STEP_PX * way], axis=1)
     origins, rays = camera.lines(places.reshape(-1, 2))
     seen = Observations(
-        np.asarray(frame, np.int64), np.asarray(ring, np.int64), rays.reshape(-1, 3, 3), origins.reshape(-1, 3, 3),
+        np.asarray(frame, np.int64),
+        np.asarray(ring, np.int64),
+        rays.reshape(-1, 3, 3),
+        origins.reshape(-1, 3, 3),
         np.zeros(len(pixels)) if width is None else np.asarray(width, float),
         tint=_tints(np.asarray(ring, np.int64), way, colours),
-    )  # fmt: skip
+    )
     good = np.isfinite(seen.rays).all(axis=(1, 2)) & np.isfinite(seen.origins).all(axis=(1, 2))
     return seen.take(np.flatnonzero(good))
 

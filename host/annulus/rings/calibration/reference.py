@@ -76,13 +76,15 @@ class Reference:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "radius_mm": self.radius_mm, "before_mm": self.before_mm,
+            "format": FORMAT,
+            "radius_mm": self.radius_mm,
+            "before_mm": self.before_mm,
             "after_mm": None if math.isnan(self.after_mm) else self.after_mm,
             "poses": [[p.rx, p.ry, p.tx, p.ty] for p in self.poses],
             "rings": [
                 {"offset_rad": [None if math.isnan(v) else round(v, 9) for v in ring]} for ring in self.offset_rad
             ],
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, data: object) -> "Reference":
@@ -105,10 +107,12 @@ class Reference:
             stood.append(Pose(*(_number(v, "poses", 1e4) for v in one)))
         after = data.get("after_mm")
         return cls(
-            tuple(offsets), _number(data.get("radius_mm"), "radius_mm", 5000.0), tuple(stood),
+            tuple(offsets),
+            _number(data.get("radius_mm"), "radius_mm", 5000.0),
+            tuple(stood),
             _number(data.get("before_mm"), "before_mm", 1e4),
             math.nan if after is None else _number(after, "after_mm", 1e4),
-        )  # fmt: skip
+        )
 
 
 def learn(profiles: Sequence[Profile], calibration: Calibration) -> Reference:
@@ -127,9 +131,7 @@ def learn(profiles: Sequence[Profile], calibration: Calibration) -> Reference:
     after = math.nan
     if len(used) > 1:
         folds = np.arange(len(used)) % min(len(used), 4)
-        errors = [
-            _radius_error(used[f], calibration, _merged(seen[folds != folds[f]])) for f in range(len(used))
-        ]  # fmt: skip
+        errors = [_radius_error(used[f], calibration, _merged(seen[folds != folds[f]])) for f in range(len(used))]
         after = _rms(np.concatenate(errors))
     merged = _merged(seen)
     poses = tuple(profile.pose for profile in used if profile.pose is not None)

@@ -33,9 +33,12 @@ class TargetPoints:
 
     def take(self, which: NDArray[np.bool_]) -> "TargetPoints":
         return replace(
-            self, target=self.target[which], ring=self.ring[which], inner_mm=self.inner_mm[which],
+            self,
+            target=self.target[which],
+            ring=self.ring[which],
+            inner_mm=self.inner_mm[which],
             outer_mm=self.outer_mm[which],
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -320,9 +320,12 @@ def a_silent_host_darkens_the_lamps(board: Board) -> str:
     configure(board, ratio=0, period=frame, delay=100_000, width=100_000, host_timeout=50)
     edges = [MS + i * frame for i in range(60)]
     scene = Scene(
-        until=edges[-1] + frame, edges=camera(edges), watch=(PIN_LED,), silent=True,
+        until=edges[-1] + frame,
+        edges=camera(edges),
+        watch=(PIN_LED,),
+        silent=True,
         orders=[(20 * MS, Arm(ArmFlag.LAMPS))],
-    )  # fmt: skip
+    )
     played = board.play(scene)
     faults = [fault for fault in played.heard(Fault) if fault.fault is FaultCode.HOST_TIMEOUT]
     expect(len(faults) == 1, f"{len(faults)} faults host_timeout")

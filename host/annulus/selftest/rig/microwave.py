@@ -245,9 +245,11 @@ def a_cut_train_counts_the_bursts_that_were_sent(board: Board) -> str:
         opens = 30 * MS + rng.randrange(1_000, 600_000)
         burst = Burst(code=BurstCode.SINGLE, chip=500, repeat=60_000, period=10_000, trigger_offset=0)
         scene = Scene(
-            until=opens + 3 * MS, orders=[(MS // 2, burst)], watch=BOTH,
+            until=opens + 3 * MS,
+            orders=[(MS // 2, burst)],
+            watch=BOTH,
             edges=[(opens, PIN_INTERLOCK, 1), (opens + 100_000, PIN_INTERLOCK, 0)],
-        )  # fmt: skip
+        )
         played = board.play(scene)
         reported = played.heard(BurstDone)
         whole = sum(abs(width - 500) <= board.slack() for width in played.widths(PIN_MICROWAVE))

@@ -54,9 +54,13 @@ GRAY = ((1, 1), (0, 1), (0, 0), (1, 0))  # A falls first: up, from both high
 
 
 def turntable(
-    *, lowest: int = -400_000_000, highest: int = 400_000_000, acceleration: int = STEEP, start: int = START,
+    *,
+    lowest: int = -400_000_000,
+    highest: int = 400_000_000,
+    acceleration: int = STEEP,
+    start: int = START,
     switches: TurntableFlag = NO_SWITCH,
-) -> Turntable:  # fmt: skip
+) -> Turntable:
     return Turntable(lowest, highest, acceleration, start, switches)
 
 
@@ -151,10 +155,12 @@ def _end_switch(board: Board, sign: int, pin: int, cause: StopCause) -> str:
     at = status(board).turntable
     touched = 120 * MS
     scene = Scene(
-        until=touched, watch=(PIN_STEP,), after=200 * MS,
+        until=touched,
+        watch=(PIN_STEP,),
+        after=200 * MS,
         orders=[(MS // 2, Move(position=at + sign * 40_000, period=FAST, hold=0))],
         edges=[(touched, pin, 1), (touched + 50, pin, 0)],
-    )  # fmt: skip
+    )
     played = board.play(scene)
     made = len(played.rises(PIN_STEP))
     expect(stands(played) == at + sign * made, f"reported {abs(stands(played) - at)} steps, {made} made")
@@ -209,10 +215,12 @@ def an_opened_interlock_ends_motion_and_takes_its_power(board: Board) -> str:
     at = status(board).turntable
     opens = 80 * MS
     scene = Scene(
-        until=opens, watch=(PIN_STEP,), after=100 * MS,
+        until=opens,
+        watch=(PIN_STEP,),
+        after=100 * MS,
         orders=[(MS // 2, Move(position=at + 30_000, period=FAST, hold=1))],
         edges=[(opens, PIN_INTERLOCK, 1), (opens + 100, PIN_INTERLOCK, 0)],
-    )  # fmt: skip
+    )
     played = board.play(scene)
     last = max(played.rises(PIN_STEP), default=0.0) - opens
     enable = levels(played, PIN_ENABLE)

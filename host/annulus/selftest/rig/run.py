@@ -35,7 +35,7 @@ NOT_CHECKED = (
     ("Boot loader entered, start with a damaged second stage", "the board would be gone"),
     ("Glitches of 1 to 3 ticks", "the rig plays no level shorter than 4"),
     ("Looks of the controller at its own pins", "`annulus head selftest` does it"),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +130,12 @@ def _judged(board: RigBoard, promise: Promise, missing: frozenset[int]) -> Row:
 
 
 SHOWN = {
-    Verdict.KEPT: "kept", Verdict.BROKEN: "BROKEN", Verdict.NOT_WIRED: "not wired", Verdict.NOT_TESTED: "not checked",
+    Verdict.KEPT: "kept",
+    Verdict.BROKEN: "BROKEN",
+    Verdict.NOT_WIRED: "not wired",
+    Verdict.NOT_TESTED: "not checked",
     Verdict.INFORMS: "",
-}  # fmt: skip
+}
 
 
 def verdict_line(test: RigTest) -> str:

@@ -314,9 +314,13 @@ def an_armed_head_keeps_its_inputs_and_a_guard_of_one_is_back(board: Board) -> s
 
 
 @promised(
-    "Two inputs that contradict each other", "a fault after 5, until both are closed", PIN_SYNC, PIN_INTERLOCK,
-    PIN_INTERLOCK_ANTIVALENT, unit="ms",
-)  # fmt: skip
+    "Two inputs that contradict each other",
+    "a fault after 5, until both are closed",
+    PIN_SYNC,
+    PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
+    unit="ms",
+)
 def inputs_that_disagree_are_a_fault_until_both_are_closed(board: Board) -> str:
     configure(board, period=400_000)
     use_both(board)

@@ -177,9 +177,15 @@ class RigLine:
         flags, tick, levels, sampled, unplayed, slow, room, *tracked = _STATE.unpack(answer)
         room = min(room, AREA_WORDS // TRACKS)  # whatever it says: no more is ever asked for
         return State(
-            flags, tick, levels, min(sampled, AREA_WORDS), unplayed, min(slow, SLOW_MAX), room,
+            flags,
+            tick,
+            levels,
+            min(sampled, AREA_WORDS),
+            unplayed,
+            min(slow, SLOW_MAX),
+            room,
             tuple(min(n, room) for n in tracked),
-        )  # fmt: skip
+        )
 
     def stop(self) -> None:
         self._ask(Operation.STOP, b"")

@@ -52,16 +52,32 @@ from annulus.vocabulary import AnnulusError
 
 NEEDED = (PIN_SYNC, PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_INTERLOCK, PIN_STEP)  # and ground: eight
 OPTIONAL = (
-    PIN_DIRECTION, PIN_ENABLE, PIN_END_LOW, PIN_END_HIGH, PIN_INTERLOCK_ANTIVALENT, PIN_ODOMETER_A, PIN_ODOMETER_B,
+    PIN_DIRECTION,
+    PIN_ENABLE,
+    PIN_END_LOW,
+    PIN_END_HIGH,
+    PIN_INTERLOCK_ANTIVALENT,
+    PIN_ODOMETER_A,
+    PIN_ODOMETER_B,
     PIN_CAMERA_TRIGGER,
-)  # fmt: skip
+)
 NAMES = {
-    PIN_SYNC: "frame sync", PIN_PROJECTOR: "projector gate", PIN_LED: "LED gate", PIN_MICROWAVE: "microwave gate",
-    PIN_TRIGGER: "digitizer trigger", PIN_INTERLOCK: "interlock", PIN_STEP: "STEP", PIN_DIRECTION: "DIR",
-    PIN_ENABLE: "ENABLE", PIN_END_LOW: "lower end switch", PIN_END_HIGH: "upper end switch",
-    PIN_ODOMETER_A: "odometer A", PIN_ODOMETER_B: "odometer B", PIN_INTERLOCK_ANTIVALENT: "second interlock input",
+    PIN_SYNC: "frame sync",
+    PIN_PROJECTOR: "projector gate",
+    PIN_LED: "LED gate",
+    PIN_MICROWAVE: "microwave gate",
+    PIN_TRIGGER: "digitizer trigger",
+    PIN_INTERLOCK: "interlock",
+    PIN_STEP: "STEP",
+    PIN_DIRECTION: "DIR",
+    PIN_ENABLE: "ENABLE",
+    PIN_END_LOW: "lower end switch",
+    PIN_END_HIGH: "upper end switch",
+    PIN_ODOMETER_A: "odometer A",
+    PIN_ODOMETER_B: "odometer B",
+    PIN_INTERLOCK_ANTIVALENT: "second interlock input",
     PIN_CAMERA_TRIGGER: "camera trigger",
-}  # fmt: skip
+}
 OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 PULSE = 3_000  # ticks of the gate, 30 us; the trigger's last 1 us
 STEPS = 7

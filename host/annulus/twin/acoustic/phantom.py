@@ -61,9 +61,11 @@ class Responses:
         turn = np.arange(count) * (2 * math.pi / count)
         points = setup.radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1) - np.array(SHIFT_MM)
         heard = solver.forward(
-            draw(setup.phantom, grid, SHIFT_MM), receivers(grid, points), steps,
+            draw(setup.phantom, grid, SHIFT_MM),
+            receivers(grid, points),
+            steps,
             progress=(lambda done, of: progress("twin's sound", done, of)) if progress else None,
-        )  # fmt: skip
+        )
         if progress:
             progress("twin's sound", 1, 1)
         self.dt_s, self.length_s = solver.dt_s, steps * solver.dt_s

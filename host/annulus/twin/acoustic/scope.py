@@ -38,11 +38,20 @@ class Scope:
         self._commands: deque[str] = deque()
         self._errors: deque[str] = deque()
         self._set: dict[str, str] = {
-            ":TIMEBASE:RANGE": "1E-3", ":TIMEBASE:POSITION": "0", ":CHANNEL1:RANGE": "4", ":CHANNEL1:OFFSET": "0",
-            ":TRIGGER:EDGE:SOURCE": "CHANNEL1", ":TRIGGER:EDGE:SLOPE": "POSITIVE", ":TRIGGER:EDGE:LEVEL": "0",
-            ":ACQUIRE:TYPE": "NORMAL", ":ACQUIRE:COUNT": "8", ":WAVEFORM:POINTS": "1000", ":WAVEFORM:FORMAT": "BYTE",
-            ":WAVEFORM:BYTEORDER": "MSBFIRST", ":WAVEFORM:UNSIGNED": "1",
-        }  # fmt: skip
+            ":TIMEBASE:RANGE": "1E-3",
+            ":TIMEBASE:POSITION": "0",
+            ":CHANNEL1:RANGE": "4",
+            ":CHANNEL1:OFFSET": "0",
+            ":TRIGGER:EDGE:SOURCE": "CHANNEL1",
+            ":TRIGGER:EDGE:SLOPE": "POSITIVE",
+            ":TRIGGER:EDGE:LEVEL": "0",
+            ":ACQUIRE:TYPE": "NORMAL",
+            ":ACQUIRE:COUNT": "8",
+            ":WAVEFORM:POINTS": "1000",
+            ":WAVEFORM:FORMAT": "BYTE",
+            ":WAVEFORM:BYTEORDER": "MSBFIRST",
+            ":WAVEFORM:UNSIGNED": "1",
+        }
         self._rng = np.random.default_rng([self.seed, 17])
         self._wanted = 0  # triggers a :DIGitize still waits for
         self._count = 0
@@ -193,24 +202,78 @@ class Scope:
 
 
 _LONG = (
-    "TIMEBASE", "MODE", "REFERENCE", "RANGE", "POSITION", "CHANNEL1", "DISPLAY", "OFFSET", "TRIGGER", "EDGE", "SOURCE",
-    "SLOPE", "LEVEL", "SWEEP", "ACQUIRE", "TYPE", "COUNT", "COMPLETE", "WAVEFORM", "FORMAT", "BYTEORDER", "UNSIGNED",
-    "POINTS", "DIGITIZE", "STOP", "SYSTEM", "ERROR", "PREAMBLE", "DATA",
-)  # fmt: skip
+    "TIMEBASE",
+    "MODE",
+    "REFERENCE",
+    "RANGE",
+    "POSITION",
+    "CHANNEL1",
+    "DISPLAY",
+    "OFFSET",
+    "TRIGGER",
+    "EDGE",
+    "SOURCE",
+    "SLOPE",
+    "LEVEL",
+    "SWEEP",
+    "ACQUIRE",
+    "TYPE",
+    "COUNT",
+    "COMPLETE",
+    "WAVEFORM",
+    "FORMAT",
+    "BYTEORDER",
+    "UNSIGNED",
+    "POINTS",
+    "DIGITIZE",
+    "STOP",
+    "SYSTEM",
+    "ERROR",
+    "PREAMBLE",
+    "DATA",
+)
 _SHORT = {
-    "TIM": "TIMEBASE", "REF": "REFERENCE", "RANG": "RANGE", "POS": "POSITION", "CHAN1": "CHANNEL1", "DISP": "DISPLAY",
-    "OFFS": "OFFSET", "TRIG": "TRIGGER", "SOUR": "SOURCE", "SLOP": "SLOPE", "LEV": "LEVEL", "SWE": "SWEEP",
-    "ACQ": "ACQUIRE", "COUN": "COUNT", "COMP": "COMPLETE", "WAV": "WAVEFORM", "FORM": "FORMAT", "BYT": "BYTEORDER",
-    "UNS": "UNSIGNED", "POIN": "POINTS", "DIG": "DIGITIZE", "SYST": "SYSTEM", "ERR": "ERROR", "PRE": "PREAMBLE",
-}  # fmt: skip
+    "TIM": "TIMEBASE",
+    "REF": "REFERENCE",
+    "RANG": "RANGE",
+    "POS": "POSITION",
+    "CHAN1": "CHANNEL1",
+    "DISP": "DISPLAY",
+    "OFFS": "OFFSET",
+    "TRIG": "TRIGGER",
+    "SOUR": "SOURCE",
+    "SLOP": "SLOPE",
+    "LEV": "LEVEL",
+    "SWE": "SWEEP",
+    "ACQ": "ACQUIRE",
+    "COUN": "COUNT",
+    "COMP": "COMPLETE",
+    "WAV": "WAVEFORM",
+    "FORM": "FORMAT",
+    "BYT": "BYTEORDER",
+    "UNS": "UNSIGNED",
+    "POIN": "POINTS",
+    "DIG": "DIGITIZE",
+    "SYST": "SYSTEM",
+    "ERR": "ERROR",
+    "PRE": "PREAMBLE",
+}
 _ACCEPTED = (
-    ":TIMEBASE:MODE", ":TIMEBASE:REFERENCE", ":CHANNEL1:DISPLAY", ":TRIGGER:MODE", ":TRIGGER:SWEEP",
-    ":ACQUIRE:COMPLETE", ":WAVEFORM:SOURCE", ":WAVEFORM:POINTS:MODE",
-)  # fmt: skip
+    ":TIMEBASE:MODE",
+    ":TIMEBASE:REFERENCE",
+    ":CHANNEL1:DISPLAY",
+    ":TRIGGER:MODE",
+    ":TRIGGER:SWEEP",
+    ":ACQUIRE:COMPLETE",
+    ":WAVEFORM:SOURCE",
+    ":WAVEFORM:POINTS:MODE",
+)
 _LIMITS = {
-    ":TIMEBASE:RANGE": (2e-8, 500.0), ":CHANNEL1:RANGE": (8e-3, 40.0), ":ACQUIRE:COUNT": (2, 65536),
+    ":TIMEBASE:RANGE": (2e-8, 500.0),
+    ":CHANNEL1:RANGE": (8e-3, 40.0),
+    ":ACQUIRE:COUNT": (2, 65536),
     ":WAVEFORM:POINTS": (100, 4e6),
-}  # fmt: skip
+}
 
 
 def _long(header: str) -> str:

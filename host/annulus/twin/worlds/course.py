@@ -179,10 +179,13 @@ def _set(piece: Piece, before: Piece) -> dict[str, float]:
     joint = piece.joint or Joint()
     end = before.radius_mm if before.end_radius_mm is None else before.end_radius_mm
     return {
-        "hilo_mm": joint.hilo_mm, "hilo_clock_deg": joint.hilo_clock_deg, "angle_deg": joint.angle_deg,
-        "angle_clock_deg": joint.angle_clock_deg, "step_mm": 2 * (piece.radius_mm - end),
+        "hilo_mm": joint.hilo_mm,
+        "hilo_clock_deg": joint.hilo_clock_deg,
+        "angle_deg": joint.angle_deg,
+        "angle_clock_deg": joint.angle_clock_deg,
+        "step_mm": 2 * (piece.radius_mm - end),
         "radius_after_mm": piece.radius_mm,
-    }  # fmt: skip
+    }
 
 
 def _row(kind: str, start: float, end: float, **measures: float) -> dict[str, Any]:

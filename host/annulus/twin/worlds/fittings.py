@@ -36,10 +36,14 @@ def _joint(dice: Dice, bead: bool) -> Joint:
     """Hi-lo up to 2 mm, a turn up to 2 degrees, a bead of 2.5 to 5 mm."""
     height = float(dice.uniform(2.5, 5.0)) if bead else 0.0
     return Joint(
-        hilo_mm=float(dice.uniform(0.6, 2.0)), hilo_clock_deg=float(dice.uniform(0, 360)),
-        angle_deg=float(dice.uniform(0.4, 2.0)), angle_clock_deg=float(dice.uniform(0, 360)),
-        height_mm=height, width_mm=float(dice.uniform(7.0, 12.0)), notch_mm=float(dice.uniform(0.3, 0.7)) * height,
-    )  # fmt: skip
+        hilo_mm=float(dice.uniform(0.6, 2.0)),
+        hilo_clock_deg=float(dice.uniform(0, 360)),
+        angle_deg=float(dice.uniform(0.4, 2.0)),
+        angle_clock_deg=float(dice.uniform(0, 360)),
+        height_mm=height,
+        width_mm=float(dice.uniform(7.0, 12.0)),
+        notch_mm=float(dice.uniform(0.3, 0.7)) * height,
+    )
 
 
 def _pocket(dice: Dice, z_mm: float) -> Feature:

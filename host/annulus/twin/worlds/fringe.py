@@ -31,9 +31,18 @@ def series_world(seed: int = 3, radius_mm: float = 101.6, travel_mm: float = 60.
     light = Fringes((Fringe(slide, (22.0, 38.0)),), reach_mm=radius_mm / math.sin(math.radians(38.0)) ** 1.5)
     camera = Camera("fisheye", 1104, 1104, 545.0, 545.0, 552.0, 549.0, (-0.012, 0.004, -0.0015, 0.0002))
     return World(
-        camera, light, radius_mm, _features(1.5 * radius_mm, radius_mm), rods=_WIRES, optics=_QUIET,
-        led=Led(peak=120.0), wobble_deg=0.5, wobble_mm=0.8, travel_mm=travel_mm, seed=seed,
-    )  # fmt: skip
+        camera,
+        light,
+        radius_mm,
+        _features(1.5 * radius_mm, radius_mm),
+        rods=_WIRES,
+        optics=_QUIET,
+        led=Led(peak=120.0),
+        wobble_deg=0.5,
+        wobble_mm=0.8,
+        travel_mm=travel_mm,
+        seed=seed,
+    )
 
 
 def modules_world(seed: int = 4, radius_mm: float = 76.2, travel_mm: float = 84.0) -> World:
@@ -74,10 +83,19 @@ def mirror_fringe_world(seed: int = 5, radius_mm: float = 76.2, travel_mm: float
 def _around(cameras: list[HeadCamera], light: Fringes, radius_mm: float, travel_mm: float, seed: int) -> World:
     first, *others = cameras
     return World(
-        first.camera, light, radius_mm, _features(0.5 * travel_mm, radius_mm), optics=_QUIET,
-        led=Led(behind_mm=0.0, peak=100.0), wobble_deg=0.4, wobble_mm=0.5, travel_mm=travel_mm, seed=seed,
-        others=tuple(others), mounted=(first.rotation, first.translation_mm),
-    )  # fmt: skip
+        first.camera,
+        light,
+        radius_mm,
+        _features(0.5 * travel_mm, radius_mm),
+        optics=_QUIET,
+        led=Led(behind_mm=0.0, peak=100.0),
+        wobble_deg=0.4,
+        wobble_mm=0.5,
+        travel_mm=travel_mm,
+        seed=seed,
+        others=tuple(others),
+        mounted=(first.rotation, first.translation_mm),
+    )
 
 
 def _features(middle_mm: float, radius_mm: float) -> tuple[Feature, ...]:

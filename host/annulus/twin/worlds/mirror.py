@@ -52,6 +52,15 @@ def mirror_world(seed: int = 5, radius_mm: float = 38.1, travel_mm: float = 160.
         Feature("groove", z_mm=144.0, length_mm=8.0, depth_mm=1.0),
     )
     return World(
-        mirror_camera(), mirror_projector(), radius_mm, features, (Rod(-9.0, -12.0, 0.6, -25.0, 45.0),), 7.0,
-        Led(behind_mm=25.0, peak=40.0), wobble_deg=1.0, wobble_mm=0.02 * radius_mm, travel_mm=travel_mm, seed=seed,
-    )  # fmt: skip
+        mirror_camera(),
+        mirror_projector(),
+        radius_mm,
+        features,
+        (Rod(-9.0, -12.0, 0.6, -25.0, 45.0),),
+        7.0,
+        Led(behind_mm=25.0, peak=40.0),
+        wobble_deg=1.0,
+        wobble_mm=0.02 * radius_mm,
+        travel_mm=travel_mm,
+        seed=seed,
+    )

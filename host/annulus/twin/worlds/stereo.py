@@ -64,7 +64,16 @@ def stereo_world(seed: int = 9, radius_mm: float = 76.2, travel_mm: float = 200.
     second = _second_camera()
     middle = (_SECOND_MM[0] / 2, _SECOND_MM[1] / 2)
     return World(
-        first, stereo_projector(), radius_mm, features, led=Led(peak=150.0 * k, aside_mm=middle), wobble_deg=1.0,
-        wobble_mm=0.02 * radius_mm, optics=Optics(half_field_deg=_HALF_FIELD_DEG), travel_mm=travel_mm, seed=seed,
-        others=(second,), centre_mm=middle,
-    )  # fmt: skip
+        first,
+        stereo_projector(),
+        radius_mm,
+        features,
+        led=Led(peak=150.0 * k, aside_mm=middle),
+        wobble_deg=1.0,
+        wobble_mm=0.02 * radius_mm,
+        optics=Optics(half_field_deg=_HALF_FIELD_DEG),
+        travel_mm=travel_mm,
+        seed=seed,
+        others=(second,),
+        centre_mm=middle,
+    )

@@ -174,8 +174,13 @@ class World:
             "radius_mm": self.radius_mm,
             "features": [
                 {
-                    "kind": f.kind, "z_mm": f.z_mm, "length_mm": f.length_mm, "depth_mm": f.depth_mm,
-                    "clock_deg": f.clock_deg, "arc_deg": f.arc_deg, "edge_mm": f.edge_mm,
+                    "kind": f.kind,
+                    "z_mm": f.z_mm,
+                    "length_mm": f.length_mm,
+                    "depth_mm": f.depth_mm,
+                    "clock_deg": f.clock_deg,
+                    "arc_deg": f.arc_deg,
+                    "edge_mm": f.edge_mm,
                 }
                 for f in self.features
             ],
@@ -185,7 +190,7 @@ class World:
             "travel_mm": self.travel_mm,
             "mm_per_count": self.mm_per_count,
             "calibration": self.calibration().to_dict(),
-        }  # fmt: skip
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """All of the world as JSON-able data; `from_dict` makes an equal one."""
