@@ -37,7 +37,7 @@ native:
 	@$(MAKE) --silent -C firmware native
 
 # The images for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed, and rig.uf2 for a second one that tests
-# the first; both UF2 also in host/annulus/shipped.
+# the first; both UF2 also in host/annulus_pipe/shipped.
 firmware:
 	@tools/need.sh gcc-arm-none-eabi
 	@$(MAKE) --silent -C firmware image rig
@@ -125,7 +125,7 @@ bench-crossbore: setup-all
 study: setup-all
 	$(BIN)/python -m tools.study --out build/study
 
-# The manual, into host/annulus/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
+# The manual, into host/annulus_pipe/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
 docs: setup-all
 	@$(BIN)/python -m tools.manual
 

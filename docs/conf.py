@@ -9,7 +9,7 @@ sys.path.insert(0, str(ROOT))
 
 project = "annulus"
 author = copyright = "the annulus authors"
-version = release = version_of("annulus")
+version = release = version_of("annulus-pipe")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "tools.manual.pages"]
 root_doc = "index"

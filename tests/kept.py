@@ -24,7 +24,10 @@ from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = ROOT / "build/scenes"
-DRAWERS = ("host/annulus", "tests/unit/rings/drawn.py")  # all of the package: what a drawer imports is in its pictures
+DRAWERS = (
+    "host/annulus_pipe",
+    "tests/unit/rings/drawn.py",
+)  # all of the package: what a drawer imports is in its pictures
 OLD_S = 86_400.0  # s; a shelf that nobody took from for a day is of drawers that are gone
 
 

@@ -28,7 +28,11 @@ ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build/breakages"  # machine code: numba knows it by the copy's path, which is therefore always the same
 GATE = ["tests/unit", "tests/regression", "tests/scenes", "tests/system", "tests/hil"]
 HOUSE = "tests/unit/test_house.py"  # judges texts, and a run of some tests as if it were one of all: a false catch
-UNTRACKED = ("firmware/build", "host/annulus/shipped/annulus.uf2", "host/annulus/shipped/libannulus_native.so")
+UNTRACKED = (
+    "firmware/build",
+    "host/annulus_pipe/shipped/annulus.uf2",
+    "host/annulus_pipe/shipped/libannulus_native.so",
+)
 LINKED = (".venv", ".tools", "tools/emulator/node_modules")
 RUN = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-p", "no:cacheprovider"]
 DEEP_TIMES = 4.0  # the deep tests cost so much more than the gate: tests/durations.json
@@ -36,7 +40,9 @@ LATE = "nothing but the time: more than"
 
 
 def host_sources() -> dict[str, str]:
-    return {name: (ROOT / name).read_text(encoding="utf-8") for name in tracked("host/annulus") if name.endswith(".py")}
+    return {
+        name: (ROOT / name).read_text(encoding="utf-8") for name in tracked("host/annulus_pipe") if name.endswith(".py")
+    }
 
 
 def tracked(*under: str) -> list[str]:
@@ -60,7 +66,7 @@ def copied(other: Path) -> Path:
     for name in LINKED:
         if (ROOT / name).is_dir():
             (other / name).symlink_to(ROOT / name)
-    asked = [sys.executable, "-c", "import annulus; print(annulus.__file__)"]
+    asked = [sys.executable, "-c", "import annulus_pipe; print(annulus_pipe.__file__)"]
     run = subprocess.run(asked, cwd=other, env=env_of(other), capture_output=True, text=True)
     if not run.stdout.startswith(f"{other}/"):
         raise SystemExit(f"tools.breakages: annulus comes not from the copy but {(run.stdout or run.stderr).strip()}")

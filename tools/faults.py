@@ -49,7 +49,7 @@ class Breakage:
 
     @property
     def room(self) -> str:
-        return self.file.removeprefix("host/annulus/").partition("/")[0].removesuffix(".py")
+        return self.file.removeprefix("host/annulus_pipe/").partition("/")[0].removesuffix(".py")
 
 
 def _with(node: Node, **parts: object) -> Node:

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ROOT / "host/annulus"
+ROOMS = ROOT / "host/annulus_pipe"
 BIN = Path(sys.executable).parent
 
 

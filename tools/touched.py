@@ -39,7 +39,7 @@ def floors() -> dict[str, int]:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     layers = next(c["layers"] for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
     return {
-        name.strip().removeprefix("annulus."): floor
+        name.strip().removeprefix("annulus_pipe."): floor
         for floor, layer in enumerate(layers)
         for name in re.split(r"[|:]", layer)
     }
@@ -47,7 +47,7 @@ def floors() -> dict[str, int]:
 
 def touched(changed: list[str], floor: dict[str, int]) -> dict[str, int]:
     """The test files of deep cases that the change calls for, and how far above it they stand: nearest first."""
-    rooms = {Path(name).parts[2].removesuffix(".py") for name in changed if name.startswith("host/annulus/")}
+    rooms = {Path(name).parts[2].removesuffix(".py") for name in changed if name.startswith("host/annulus_pipe/")}
     rooms &= floor.keys()
     tested = {name for name in changed if name.startswith("tests/")}
     helped = {Path(name).parent for name in tested if not Path(name).name.startswith("test_") and name.endswith(".py")}

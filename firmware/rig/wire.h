@@ -1,4 +1,4 @@
-// What the rig and its host say to each other: README.md. host/annulus/selftest/rig/wire.py has the same numbers.
+// What the rig and its host say to each other: README.md. host/annulus_pipe/selftest/rig/wire.py has the same numbers.
 
 #ifndef ANNULUS_RIG_WIRE_H
 #define ANNULUS_RIG_WIRE_H

@@ -40,7 +40,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
 
-from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 SCHEMA_HASH = 0x{schema_hash:08X}
 REPLY_BIT = 0x{reply_bit:02X}

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, MS, ROUND_MAX, EmulatedBoard, end_idle, made_image, made_image_of
 
-from annulus.flash.image import Application, application, read_image
+from annulus_pipe.flash.image import Application, application, read_image
 
 
 @pytest.fixture(scope="session")

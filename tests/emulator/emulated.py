@@ -10,10 +10,10 @@ import zlib
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER, TICKS_PER_US
-from annulus.flash.image import APPLICATION_AT, application, read_image
-from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER, TICKS_PER_US
+from annulus_pipe.flash.image import APPLICATION_AT, application, read_image
+from annulus_pipe.link.codec import Decoder, Frame, encode
+from annulus_pipe.link.messages import (
     LEVEL,
     SCHEMA_HASH,
     Arm,
@@ -31,7 +31,7 @@ from annulus.link.messages import (
     Stage,
     StatusCode,
 )
-from annulus.selftest.rig import promises as promised
+from annulus_pipe.selftest.rig import promises as promised
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGE = ROOT / "firmware/build/annulus.uf2"

@@ -1,11 +1,11 @@
-"""The image under test as a Board of annulus.selftest.rig: what is asked of silicon is asked of the emulator."""
+"""The image under test as a Board of annulus_pipe.selftest.rig: what is asked of silicon is asked of the emulator."""
 
 from emulated import BOOTED, MS, EmulatedBoard
 
-from annulus.controller import PIN_END_HIGH, PIN_END_LOW, PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import Command, IdentifyReply, Reply, Status
-from annulus.selftest.rig.board import EdgeIn, Played, Scene
+from annulus_pipe.controller import PIN_END_HIGH, PIN_END_LOW, PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import Command, IdentifyReply, Reply, Status
+from annulus_pipe.selftest.rig.board import EdgeIn, Played, Scene
 
 STEP = MS // 2
 ALIVE = 20 * MS

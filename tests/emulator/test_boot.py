@@ -5,8 +5,8 @@ import subprocess
 import pytest
 from emulated import BOOTED, ELF, MS, OUTPUTS, EmulatedBoard, arm
 
-from annulus.controller import PIN_PROJECTOR
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_PROJECTOR
+from annulus_pipe.link.messages import (
     LEVEL,
     RESET_MAGIC,
     BootCause,

@@ -6,8 +6,8 @@ import random
 import pytest
 from emulated import BOOTED, MS, EmulatedBoard, arm
 
-from annulus.controller import PIN_MICROWAVE, PIN_TRIGGER
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_MICROWAVE, PIN_TRIGGER
+from annulus_pipe.link.messages import (
     SCHEMA_HASH,
     Arm,
     ArmFlag,

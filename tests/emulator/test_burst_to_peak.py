@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER
-from annulus.link.messages import Arm, ArmFlag
-from annulus.link.operate import train_messages
-from annulus.thermoacoustic.codes import Train, pattern
-from annulus.thermoacoustic.phantoms import Disc
-from annulus.thermoacoustic.templates import decode, design
-from annulus.twin.acoustic.phantom import RigSetup
-from annulus.twin.acoustic.pins import fire, pulses_of
-from annulus.twin.acoustic.receiver import Receiver
-from annulus.twin.emulated import EmulatedBoard
+from annulus_pipe.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER
+from annulus_pipe.link.messages import Arm, ArmFlag
+from annulus_pipe.link.operate import train_messages
+from annulus_pipe.thermoacoustic.codes import Train, pattern
+from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.thermoacoustic.templates import decode, design
+from annulus_pipe.twin.acoustic.phantom import RigSetup
+from annulus_pipe.twin.acoustic.pins import fire, pulses_of
+from annulus_pipe.twin.acoustic.receiver import Receiver
+from annulus_pipe.twin.emulated import EmulatedBoard
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")
 

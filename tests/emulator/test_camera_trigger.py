@@ -5,8 +5,8 @@ import itertools
 import pytest
 from emulated import BOOTED, LATENCY, MS, EmulatedBoard, configuration
 
-from annulus.controller import PIN_CAMERA_TRIGGER, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_CAMERA_TRIGGER, PIN_LED, PIN_PROJECTOR, PIN_SYNC
+from annulus_pipe.link.messages import (
     RESET_MAGIC,
     Arm,
     ArmFlag,

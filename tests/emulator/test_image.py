@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, LATENCY, MS, ROOT, ROUND_MAX, EmulatedBoard, EmulatorFault, arm, edges_from, lamps_after
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_LED,
@@ -22,8 +22,8 @@ from annulus.controller import (
     TURNTABLE_LAG_MS,
     TURNTABLE_LEAD_MS,
 )
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     BootCause,

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, LATENCY, MS, EmulatedBoard, arm, configuration
 
-from annulus.controller import PIN_LED, PIN_SYNC
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, PIN_SYNC
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Commit,

@@ -5,8 +5,8 @@ import random
 import pytest
 from emulated import MS, EmulatedBoard, arm
 
-from annulus.controller import PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
-from annulus.link.messages import Edge, Fault, FaultCode, Health, HealthReply, Lamp, Status, StatusReply
+from annulus_pipe.controller import PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
+from annulus_pipe.link.messages import Edge, Fault, FaultCode, Health, HealthReply, Lamp, Status, StatusReply
 
 GRAY = ((1, 1), (0, 1), (0, 0), (1, 0))  # A falls first: up, from both high
 ODOMETER_DMA = 2  # the channel of firmware/rp2040/hardware.h

@@ -5,8 +5,8 @@ import random
 import pytest
 from emulated import BOOTED, LATENCY, MS, OUTPUTS, EmulatedBoard, arm, edges_from
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_STATUS, PIN_TRIGGER
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_STATUS, PIN_TRIGGER
+from annulus_pipe.link.messages import (
     BOOTLOADER_NEEDS_USB,
     Arm,
     ArmFlag,

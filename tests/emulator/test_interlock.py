@@ -7,7 +7,7 @@ import random
 import pytest
 from emulated import MS, EmulatedBoard, arm
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     INTERLOCK_DISAGREE_MS,
     PIN_INTERLOCK,
     PIN_INTERLOCK_ANTIVALENT,
@@ -16,7 +16,7 @@ from annulus.controller import (
     PIN_SYNC,
     PIN_TRIGGER,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     RESET_MAGIC,
     Arm,
     ArmFlag,

@@ -26,8 +26,8 @@ from updating import (
     who,
 )
 
-from annulus.flash.image import Application, application, read_image
-from annulus.link.messages import (
+from annulus_pipe.flash.image import Application, application, read_image
+from annulus_pipe.link.messages import (
     SCHEMA_HASH,
     Crash,
     CrashKind,

@@ -6,7 +6,7 @@ import struct
 import pytest
 from emulated import BOOTED, LATENCY, MS, EmulatedBoard, configuration
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     PIN_LED,
     PIN_MICROWAVE,
     PIN_ODOMETER_A,
@@ -17,7 +17,7 @@ from annulus.controller import (
     PIN_TRIGGER,
     TURNTABLE_LEAD_MS,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     LEVEL,
     Arm,
     ArmFlag,
@@ -34,7 +34,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
-from annulus.vocabulary import EdgeFlag
+from annulus_pipe.vocabulary import EdgeFlag
 
 PERIOD = 200_000
 TICKS = 512

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import pytest
 from emulated import LATENCY, MS, EmulatedBoard, arm, configuration
 
-from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Burst,

@@ -5,9 +5,9 @@ import random
 import pytest
 from emulated import LATENCY, MS, EmulatedBoard, configuration, edges_from
 
-from annulus.controller import PIN_LED, PIN_PROJECTOR
-from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Preamble, StatusCode
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus_pipe.controller import PIN_LED, PIN_PROJECTOR
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Preamble, StatusCode
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 
 LAMPS = (Lamp.PROJECTOR, Lamp.LED, Lamp.DARK, Lamp.PROJECTOR)  # of two bits of the sequence
 DELAY, WIDTH, FRAME = 300_000, 200_000, 1_000_000

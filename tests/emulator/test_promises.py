@@ -8,8 +8,8 @@ import pytest
 from emulated import EmulatedBoard
 from promises_on_image import PromiseBoard
 
-from annulus.selftest.rig.promises import Promise
-from annulus.selftest.rig.run import chosen
+from annulus_pipe.selftest.rig.promises import Promise
+from annulus_pipe.selftest.rig.run import chosen
 
 NAMES = re.compile(r"^def (test_\w+)", re.MULTILINE)
 GATE = "no jitter under a flood and a train"

@@ -2,8 +2,8 @@
 
 from emulated import MS, EmulatedBoard
 
-from annulus.controller import PIN_ODOMETER_A, PIN_ODOMETER_B
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_ODOMETER_A, PIN_ODOMETER_B
+from annulus_pipe.link.messages import (
     LEVEL,
     SCHEMA_HASH,
     Edge,

@@ -13,8 +13,8 @@ import pytest
 from emulated import EMULATOR, ROOT
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.selftest.rig.run import chosen
+from annulus_pipe.cli import app
+from annulus_pipe.selftest.rig.run import chosen
 from tools.mutants import MUTANTS
 
 BENCH = EMULATOR.parent / "bench.mjs"

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from emulated import ROOT
 
-from annulus.selftest.page import render_page, render_table, verdict_line
-from annulus.selftest.promise import Row, Verdict
-from annulus.selftest.run import SelfTest, WireGoes, run_selftest
-from annulus.testing.heads import SimulatedHead
+from annulus_pipe.selftest.page import render_page, render_table, verdict_line
+from annulus_pipe.selftest.promise import Row, Verdict
+from annulus_pipe.selftest.run import SelfTest, WireGoes, run_selftest
+from annulus_pipe.testing.heads import SimulatedHead
 from tools.mutants import MUTANTS
 
 STEP_TO_SYNC, GATE_TO_INTERLOCK = (8, 2), (5, 7)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, MS, EmulatedBoard, configuration
 
-from annulus.controller import PIN_MICROWAVE
-from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, Commit
+from annulus_pipe.controller import PIN_MICROWAVE
+from annulus_pipe.link.messages import Arm, ArmFlag, Burst, BurstCode, Commit
 
 
 def decoded(vcd: Path, decoder: str, annotation: str) -> list[str]:

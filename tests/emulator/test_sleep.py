@@ -2,8 +2,8 @@
 
 from emulated import MS, EmulatedBoard, configuration
 
-from annulus.controller import PIN_INTERLOCK, PIN_SYNC
-from annulus.link.messages import Arm, ArmFlag, Commit, Fault, FaultCode, Ping, StatusCode
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_SYNC
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Fault, FaultCode, Ping, StatusCode
 
 STORM = 13_000  # ticks: longer than a round
 EVERY = 20  # ticks from one edge of it to the next: the processor does nothing but count them

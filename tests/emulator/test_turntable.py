@@ -7,7 +7,7 @@ import random
 import pytest
 from emulated import BOOTED, MS, EmulatedBoard
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_END_HIGH,
@@ -20,7 +20,7 @@ from annulus.controller import (
     TURNTABLE_LEAD_MS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Clear,

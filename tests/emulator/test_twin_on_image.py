@@ -14,21 +14,21 @@ import pytest
 from emulated import EMULATOR, IMAGE, MS
 from typer.testing import CliRunner
 
-from annulus.capture.photometry import Light, measure
-from annulus.cli import app
-from annulus.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
-from annulus.flash.update import enter_boot_loader
-from annulus.record.calibration_file import save_calibration
-from annulus.record.recording import open_recording
-from annulus.twin.emulated import EmulatedBoard
-from annulus.twin.head import head_toml, start_head
-from annulus.twin.soak import soak
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.cli import app
+from annulus_pipe.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
+from annulus_pipe.flash.update import enter_boot_loader
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.emulated import EmulatedBoard
+from annulus_pipe.twin.head import head_toml, start_head
+from annulus_pipe.twin.soak import soak
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")
 
-ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
+ANNULUS = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
 LATENCY = 9  # falling edge to lamp, beyond the programmed delay
 SYNC_FROM, SYNC_EVERY = 20_000_000, 4_000_000  # emulate.mjs --serve --sync-hz 25
 BUSY_MS = 400.0  # further behind than this the head is no judge of a daemon's progress; of its labels it always is

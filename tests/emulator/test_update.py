@@ -21,9 +21,9 @@ from updating import (
     who,
 )
 
-from annulus.controller import PIN_LED, UPDATE_CHUNK_BYTES
-from annulus.flash.image import Application
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, UPDATE_CHUNK_BYTES
+from annulus_pipe.flash.image import Application
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     BootCause,

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, MS, EmulatedBoard, configuration
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import (
     SCHEMA_HASH,
     Arm,
     ArmFlag,

@@ -8,9 +8,9 @@ import random
 import pytest
 from emulated import BOOTED, MS, OUTPUTS, EmulatedBoard, arm
 
-from annulus.controller import PIN_LED, TICKS_PER_US
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, TICKS_PER_US
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import (
     ArmFlag,
     Burst,
     BurstCode,

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 from emulated import MS, EmulatedBoard, arm
 
-from annulus.controller import PIN_LED
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import Ping
+from annulus_pipe.controller import PIN_LED
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import Ping
 
 SUBMIT, UNLINK, RET_SUBMIT, RET_UNLINK = 1, 2, 3, 4
 OK, EPIPE, ECONNRESET = 0, -32, -104

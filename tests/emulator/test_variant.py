@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from emulated import BOOTED, MS, OUTPUTS, EmulatedBoard, arm
 
-from annulus.controller import PIN_LED, PIN_STATUS, TICKS_PER_US
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_LED, PIN_STATUS, TICKS_PER_US
+from annulus_pipe.link.messages import (
     ArmFlag,
     BoardKind,
     Burst,

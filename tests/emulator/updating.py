@@ -5,9 +5,9 @@ import zlib
 
 from emulated import MS, EmulatedBoard
 
-from annulus.controller import UPDATE_CHUNK_BYTES
-from annulus.flash.image import Application
-from annulus.link.messages import (
+from annulus_pipe.controller import UPDATE_CHUNK_BYTES
+from annulus_pipe.flash.image import Application
+from annulus_pipe.link.messages import (
     RESET_MAGIC,
     SCHEMA_HASH,
     Identify,

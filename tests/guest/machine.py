@@ -2,7 +2,7 @@
 
     with Guest() as guest:
         guest.modprobe("vivid", "n_devs=1")
-        done = guest.python("import annulus; print(annulus.__file__)", seconds=20)
+        done = guest.python("import annulus_pipe; print(annulus_pipe.__file__)", seconds=20)
         assert done.status == 0, done
 
 The guest's root is the host's, over 9p and read-only: the same .venv, the same checkout at the same path. /tmp, /run
@@ -29,7 +29,9 @@ from types import TracebackType
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / ".venv/bin/python"
 COMPILED = ROOT / ".venv/.guest"  # bytecode: compiling what a daemon imports takes the guest a minute
-IMPORTED = "annulus.daemon.run, annulus.daemon.recorder, annulus.daemon.control, annulus.record.recording, smbus2"
+IMPORTED = "smbus2, annulus_pipe.record.recording" + "".join(
+    f", annulus_pipe.daemon.{name}" for name in ("run", "recorder", "control")
+)
 HOST = "10.0.2.2"  # as the guest sees it
 BOOT_S = 200.0  # 9 s on an idle machine
 SLACK_S = 30.0  # for an answer to come back after its command's time was up

@@ -15,11 +15,11 @@ from typing import Any
 
 import serial
 
-from annulus.link import operate
-from annulus.link import port as link_port
-from annulus.link.client import Client
-from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.link import operate
+from annulus_pipe.link import port as link_port
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.codec import Decoder, Frame, encode
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Burst,
@@ -35,8 +35,8 @@ from annulus.link.messages import (
     Status,
     StatusReply,
 )
-from annulus.link.session import EventReceived
-from annulus.vocabulary import AnnulusError, Lamp
+from annulus_pipe.link.session import EventReceived
+from annulus_pipe.vocabulary import AnnulusError, Lamp
 
 TTY = Path("/dev/ttyACM0")
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")

@@ -18,12 +18,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from annulus.capture import videodev
-from annulus.daemon import run_daemon
-from annulus.daemon.control import ControlClient
-from annulus.daemon.state import State
-from annulus.record.recording import open_recording
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture import videodev
+from annulus_pipe.daemon import run_daemon
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.state import State
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.vocabulary import AnnulusError
 
 STEP_S = 100.0  # the longest thing an operator waits for: a recorder that comes up
 DEVICE, DROPPED, DISCONNECT = "/dev/video0", 0x00F0_F040, 0x00F0_F041

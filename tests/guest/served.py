@@ -9,7 +9,7 @@ from types import TracebackType
 
 from emulated import BOOTED, MS, OUTPUTS, EmulatedBoard
 
-from annulus.controller import TICK_NS
+from annulus_pipe.controller import TICK_NS
 
 STEP = 2 * MS
 EDGES_APART = 10 * MS

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from machine import HOST, PYTHON, Guest
 
-from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS
-from annulus.twin.line import TcpLine
-from annulus.twin.native import NativeBoard
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS
+from annulus_pipe.twin.line import TcpLine
+from annulus_pipe.twin.native import NativeBoard
 
 PERIOD = 20_000_000  # ticks: 5 fps, which an emulated machine has time for beside others too
 HIGH = 1_000_000  # ticks that frame-sync is high

@@ -36,10 +36,10 @@ def test_registers_of_a_stub_are_written_and_read_and_nobody_else_answers(guest:
 DRIVERS = """
 import errno
 from pathlib import Path
-from annulus.sensors.fdc2214 import Ads1115, Fdc2214, Tank
-from annulus.sensors.i2c import I2cError, I2cSensors, open_bus
-from annulus.sensors.imu import Mpu6050
-from annulus.sensors.ina226 import Ina226
+from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
+from annulus_pipe.sensors.i2c import I2cError, I2cSensors, open_bus
+from annulus_pipe.sensors.imu import Mpu6050
+from annulus_pipe.sensors.ina226 import Ina226
 
 buses = [f for f in Path("/sys/bus/i2c/devices").glob("i2c-*") if "stub" in (f / "name").read_text()]
 bus = open_bus(int(buses[-1].name[4:]))

@@ -11,9 +11,9 @@ from machine import HOST, ROOT, Guest, GuestError
 
 @pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_it_runs_the_checkouts_own_python_on_debians_kernel(guest: Guest) -> None:
-    done = guest.python("import annulus, os; print(annulus.__file__, os.uname().release)")
+    done = guest.python("import annulus_pipe, os; print(annulus_pipe.__file__, os.uname().release)")
     assert done.status == 0, done
-    assert done.stdout.split() == [str(ROOT / "host/annulus/__init__.py"), guest.release]
+    assert done.stdout.split() == [str(ROOT / "host/annulus_pipe/__init__.py"), guest.release]
 
 
 @pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")

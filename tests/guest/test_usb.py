@@ -13,8 +13,8 @@ from emulated import MS, made_image
 from machine import PYTHON, Guest
 from served import Served
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR
-from annulus.link.messages import BootCause, FaultCode, StateFlag
+from annulus_pipe.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR
+from annulus_pipe.link.messages import BootCause, FaultCode, StateFlag
 
 GUEST_SIDE = Path(__file__).with_name("on_usb.py")
 LINE_STATE_OFF = bytes.fromhex("2122000000000000")  # DTR and RTS dropped

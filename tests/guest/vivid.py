@@ -14,11 +14,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from annulus.capture import videodev
-from annulus.capture.camera import CapturedFrame, grab
-from annulus.capture.pixels import ENCODINGS_OF
-from annulus.capture.v4l2 import V4L2Camera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture import videodev
+from annulus_pipe.capture.camera import CapturedFrame, grab
+from annulus_pipe.capture.pixels import ENCODINGS_OF
+from annulus_pipe.capture.v4l2 import V4L2Camera
+from annulus_pipe.vocabulary import AnnulusError
 
 WEBCAM, HDMI, OUTPUT = "/dev/video0", "/dev/video1", "/dev/video2"
 SIZE = {"width": 640, "height": 360}

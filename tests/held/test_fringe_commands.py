@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.fringe import FringeProjector
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.cli import app
+from annulus_pipe.fringe import FringeProjector
+from annulus_pipe.numeric.arrays import FloatArray
 
 SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"

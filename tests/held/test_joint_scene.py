@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.vocabulary import AnnulusError
 
 JOINTS = Path(__file__).resolve().parents[3] / "shared" / "joints"
 TRUTH = JOINTS / "joint-a-truth" / "truth.json"

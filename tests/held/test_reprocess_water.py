@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.reprocess import survey_of
-from annulus.wall.features import FeatureKind
+from annulus_pipe.reprocess import survey_of
+from annulus_pipe.wall.features import FeatureKind
 
 SCENE = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "pipes" / "s05a-water"
 

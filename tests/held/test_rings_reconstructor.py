@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 PIPE_A = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "pipe-a"
 

@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.calibrate.head import calibrate_head
-from annulus.calibrate.pipe import PipeCalibration, save_pipe
-from annulus.calibrate.pipe_picture import draw_pipe
-from annulus.record.calibration_file import load_calibration
-from annulus.report import Account, write
-from annulus.reprocess import open_job, reprocess
-from annulus.vocabulary import AnnulusError
-from annulus.wall.defects import Kind
+from annulus_pipe.calibrate.head import calibrate_head
+from annulus_pipe.calibrate.pipe import PipeCalibration, save_pipe
+from annulus_pipe.calibrate.pipe_picture import draw_pipe
+from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.defects import Kind
 
 SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 pytestmark = pytest.mark.skipif(not (SCENES / "stereo-a").is_dir(), reason="needs ../shared/scenes/stereo-a")

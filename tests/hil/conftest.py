@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 from head_bench import Bench
 
-from annulus.controller import PIN_STEP, PIN_SYNC, TICK_HZ
-from annulus.link.client import Client
-from annulus.link.messages import Arm, ArmFlag, Clear
-from annulus.selftest.scope import Scope
-from annulus.testing.heads import SimulatedHead
+from annulus_pipe.controller import PIN_STEP, PIN_SYNC, TICK_HZ
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Arm, ArmFlag, Clear
+from annulus_pipe.selftest.scope import Scope
+from annulus_pipe.testing.heads import SimulatedHead
 
 SIMULATED = ("native", "emulated")
 CHANNELS = ("projector", "led", "microwave", "trigger")

@@ -5,11 +5,11 @@ import time
 from dataclasses import dataclass
 from typing import TypeVar
 
-from annulus.link.client import Client
-from annulus.link.messages import RESET_MAGIC, Command, Commit, Event, Reset, Stage, StatusCode
-from annulus.link.session import EventReceived
-from annulus.selftest.scope import Scope
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import RESET_MAGIC, Command, Commit, Event, Reset, Stage, StatusCode
+from annulus_pipe.link.session import EventReceived
+from annulus_pipe.selftest.scope import Scope
+from annulus_pipe.vocabulary import AnnulusError
 
 RESTART_S = 0.05
 BACK_S = 5.0  # until a port over USB has been made anew

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from head_bench import Bench
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     FRAME_PERIOD_MIN_TICKS,
     LAMP_DUTY_MAX_PERMILLE,
     LAMP_WIDTH_MAX_TICKS,
@@ -22,7 +22,7 @@ from annulus.controller import (
     TICKS_PER_US,
     TURNTABLE_PERIOD_MIN_TICKS,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     BootCause,
@@ -46,13 +46,13 @@ from annulus.link.messages import (
     StateFlag,
     StatusCode,
 )
-from annulus.link.session import EventsLost
-from annulus.selftest.lamps import LATENCY, lamp_rows
-from annulus.selftest.microwave import interlock_closed, microwave_rows
-from annulus.selftest.promise import Verdict
-from annulus.selftest.scope import OWED_S
-from annulus.selftest.scope import Edge as LookEdge
-from annulus.vocabulary import Lamp
+from annulus_pipe.link.session import EventsLost
+from annulus_pipe.selftest.lamps import LATENCY, lamp_rows
+from annulus_pipe.selftest.microwave import interlock_closed, microwave_rows
+from annulus_pipe.selftest.promise import Verdict
+from annulus_pipe.selftest.scope import OWED_S
+from annulus_pipe.selftest.scope import Edge as LookEdge
+from annulus_pipe.vocabulary import Lamp
 
 PERIOD = TICK_HZ // 100
 MS = 1000 * TICKS_PER_US

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record.recording import open_recording
-from annulus.reprocess import survey_of
-from annulus.reprocess.relabel import audit
-from annulus.twin.score import score
-from annulus.twin.worlds import demo_world
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.reprocess import survey_of
+from annulus_pipe.reprocess.relabel import audit
+from annulus_pipe.twin.score import score
+from annulus_pipe.twin.worlds import demo_world
 from tools.sample.__main__ import FRAMES, WIDTH, write
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.geometry.calibration import Calibration
-from annulus.reprocess import survey_of
-from annulus.rings.reconstructor import Reconstructor
-from annulus.wall.features import FeatureKind
+from annulus_pipe.cli import app
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.reprocess import survey_of
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.wall.features import FeatureKind
 
 SCENES = Path(__file__).resolve().parents[1] / "data/scenes"
 

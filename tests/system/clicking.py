@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-RUN = [sys.executable, "-c", "from annulus.cli import main; main()"]
+RUN = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
 
 
 @contextlib.contextmanager

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from annulus.demo import run_demo
-from annulus.twin.worlds import demo_world
+from annulus_pipe.demo import run_demo
+from annulus_pipe.twin.worlds import demo_world
 
 if __name__ == "__main__":
     try:

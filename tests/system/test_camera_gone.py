@@ -13,15 +13,15 @@ from select import select
 
 import pytest
 
-from annulus.capture.timing import FrameTiming
-from annulus.daemon.account import ScanReport
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import SLOTS, HeadConfig
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.record.recording import open_recording
-from annulus.twin.camera_server import CameraServer
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.daemon.account import ScanReport
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.config import SLOTS, HeadConfig
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.camera_server import CameraServer
 
 pytestmark = pytest.mark.alone
 

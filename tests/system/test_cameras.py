@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.capture.camera import Camera, HeldRequest, OneRequest, Request
-from annulus.capture.photometry import Light, measure
-from annulus.capture.remote import RemoteCamera
-from annulus.daemon.config import SLOTS
-from annulus.daemon.session import Session
-from annulus.demo import demo_config
-from annulus.record.recording import open_recording
-from annulus.twin.head import start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import Label
+from annulus_pipe.capture.camera import Camera, HeldRequest, OneRequest, Request
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.daemon.config import SLOTS
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.demo import demo_config
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.head import start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import Label
 
 pytestmark = [
     pytest.mark.alone,

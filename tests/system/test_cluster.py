@@ -17,20 +17,20 @@ import pytest
 from results_hash import results_hash
 from toil import Toil
 
-from annulus.record.storage import Place
-from annulus.record.writer import RecordingWriter
-from annulus.report import Account, write
-from annulus.reprocess import Processes, Reprocessed, in_process, make_ready, open_job, reprocess
-from annulus.reprocess.cluster import Dask, Tls
-from annulus.reprocess.executors import Failed
-from annulus.reprocess.gather import gathered, in_ranges
-from annulus.reprocess.job import Job
-from annulus.reprocess.ranges import FOLDER
-from annulus.stream.frames import FrameHeader
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import Feature, clean_world
-from annulus.vocabulary import AnnulusError, Label
-from annulus.wall.profile import Profile
+from annulus_pipe.record.storage import Place
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import Processes, Reprocessed, in_process, make_ready, open_job, reprocess
+from annulus_pipe.reprocess.cluster import Dask, Tls
+from annulus_pipe.reprocess.executors import Failed
+from annulus_pipe.reprocess.gather import gathered, in_ranges
+from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.ranges import FOLDER
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import Feature, clean_world
+from annulus_pipe.vocabulary import AnnulusError, Label
+from annulus_pipe.wall.profile import Profile
 from tools.bench.dask_processes import Cluster
 
 pytestmark = [

@@ -56,7 +56,7 @@ def console() -> Iterator[Console]:
             [
                 sys.executable,
                 "-c",
-                "from annulus.cli import main; main()",
+                "from annulus_pipe.cli import main; main()",
                 "console",
                 "--port",
                 "0",

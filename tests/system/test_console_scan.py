@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from browser import chromium, faults
 
-from annulus.record.recording import open_recording
-from annulus.vocabulary import Label
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.vocabulary import Label
 
 pytestmark = [
     pytest.mark.alone,
@@ -36,7 +36,7 @@ def until(what: Callable[[], object], seconds: float) -> None:
 
 
 def test_from_the_job_to_the_report(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from annulus.cli import main; main()"]
+    command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
     console = subprocess.Popen(
         [*command, "console", "--demo", "--fps", str(FPS), "--port", "0", "--out", str(tmp_path)],
         stderr=subprocess.PIPE,

@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from annulus.capture.photometry import Light, measure
-from annulus.daemon.account import ScanReport
-from annulus.daemon.config import SocketConfig
-from annulus.daemon.control import ControlClient
-from annulus.daemon.observer import Mark, Observer
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.demo import demo_config
-from annulus.link.messages import Arm, ArmFlag
-from annulus.record.recording import Recording, open_recording
-from annulus.sensors.sample import Sample
-from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.daemon.account import ScanReport
+from annulus_pipe.daemon.config import SocketConfig
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.observer import Mark, Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.demo import demo_config
+from annulus_pipe.link.messages import Arm, ArmFlag
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.head import HeadHandle, start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 pytestmark = pytest.mark.alone
 

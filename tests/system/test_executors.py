@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from toil import Toil
 
-from annulus.reprocess.executors import Failed, Processes, in_process
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.reprocess.executors import Failed, Processes, in_process
+from annulus_pipe.vocabulary import AnnulusError
 
 ITEMS = tuple(range(12))
 SQUARES = {n: n * n for n in ITEMS}

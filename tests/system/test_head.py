@@ -13,17 +13,17 @@ import pytest
 import zmq
 from leftovers import left_in_shm
 
-from annulus import untrusted
-from annulus.capture.camera import Camera, CapturedFrame, grab, plug
-from annulus.capture.remote import RemoteCamera
-from annulus.capture.timing import FrameTiming
-from annulus.link.client import Client
-from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
-from annulus.link.session import EventReceived
-from annulus.sensors.sample import Sample
-from annulus.twin.head import HeadHandle, head_timing, head_toml, start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError, Lamp
+from annulus_pipe import untrusted
+from annulus_pipe.capture.camera import Camera, CapturedFrame, grab, plug
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
+from annulus_pipe.link.session import EventReceived
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.head import HeadHandle, head_timing, head_toml, start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError, Lamp
 
 pytestmark = pytest.mark.alone
 

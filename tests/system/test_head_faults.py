@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.camera import CapturedFrame, grab
-from annulus.capture.photometry import measure
-from annulus.capture.remote import RemoteCamera
-from annulus.link.client import Client
-from annulus.link.messages import Ping
-from annulus.twin.faults import Faults
-from annulus.twin.head import start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import CapturedFrame, grab
+from annulus_pipe.capture.photometry import measure
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Ping
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.head import start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.alone
 

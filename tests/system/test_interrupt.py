@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from annulus.record.calibration_file import save_calibration
-from annulus.record.recording import open_recording
-from annulus.twin.head import head_toml, start_head
-from annulus.twin.worlds import demo_world
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.head import head_toml, start_head
+from annulus_pipe.twin.worlds import demo_world
 
 pytestmark = pytest.mark.alone
 
@@ -111,7 +111,7 @@ def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Pat
     with start_head(world, 8.0, seed=9) as head:
         more = '[record]\nfolder = "scans"\n[publish]\naddress = "tcp://127.0.0.1:*"\n'
         (tmp_path / "head.toml").write_text(head_toml(head, world, Path("head-7.json")) + "\n" + more)
-        command = [sys.executable, "-c", "from annulus.cli import main; main()", "daemon", "--config"]
+        command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "daemon", "--config"]
         daemon = subprocess.Popen(
             [*command, str(tmp_path / "head.toml")], env=traces.environment, stderr=subprocess.PIPE, text=True
         )

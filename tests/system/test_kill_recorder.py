@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 import zmq
 
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec
-from annulus.record.recording import Recording, open_recording
-from annulus.stream.frames import FrameHeader
-from annulus.stream.orphan import child
-from annulus.stream.pool_events import Done
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared, WorkerKind, WorkerPool
-from annulus.vocabulary import Label
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.orphan import child
+from annulus_pipe.stream.pool_events import Done
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
+from annulus_pipe.vocabulary import Label
 
 pytestmark = pytest.mark.deep(gate="tests/unit/daemon/test_recorder.py::test_all_parts_have_the_clock_of_the_scan")
 
@@ -49,7 +49,7 @@ def killed(folder: Path, codec: Codec, after_frames: int, after_s: float) -> tup
     context, ring = zmq.Context(), FrameRing(2 * DEPTH, H * W)
     sockets = folder / "sockets"
     sockets.mkdir(parents=True)
-    kind = WorkerKind("recorder", child("annulus.daemon.recorder"), setup, 1, DEPTH)
+    kind = WorkerKind("recorder", child("annulus_pipe.daemon.recorder"), setup, 1, DEPTH)
     pool = WorkerPool(kind, Shared(ring, context, sockets))
     written: set[int] = set()
     index = 0

@@ -147,9 +147,9 @@ def test_examples_of_help_run_where_they_need_nothing(typed: dict[str, str], tmp
 def test_without_the_sample_or_the_manual_one_line_says_how_to_get_them(tmp_path: Path) -> None:
     for command, what in (("sample", "make sample"), ("docs", "make docs")):
         code = f"import sys; sys.modules['annulus_sample'] = None; sys.argv = ['annulus', {command!r}]; "
-        code += "import annulus.shipped as s; s.MANUAL = 'nowhere'; s._MADE_BY = {'nowhere': 'make docs'}; "
+        code += "import annulus_pipe.shipped as s; s.MANUAL = 'nowhere'; s._MADE_BY = {'nowhere': 'make docs'}; "
         done = subprocess.run(
-            [sys.executable, "-c", code + "from annulus.cli import main; main()"],
+            [sys.executable, "-c", code + "from annulus_pipe.cli import main; main()"],
             cwd=tmp_path,
             capture_output=True,
             text=True,

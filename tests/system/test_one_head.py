@@ -11,20 +11,20 @@ from typing import Any
 
 import pytest
 
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.demo import demo_config
-from annulus.record.recording import open_recording
-from annulus.reprocess import survey_of
-from annulus.sensors.fdc2214 import Ads1115, Fdc2214, Tank
-from annulus.sensors.i2c import I2cSensors
-from annulus.sensors.imu import Mpu6050
-from annulus.sensors.ina226 import Ina226, Rail
-from annulus.twin.capacitance import Bore, Ground
-from annulus.twin.head import start_head
-from annulus.twin.i2c_chips import HeadBus
-from annulus.twin.worlds import demo_world
-from annulus.wall.features import FeatureKind
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.demo import demo_config
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.reprocess import survey_of
+from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
+from annulus_pipe.sensors.i2c import I2cSensors
+from annulus_pipe.sensors.imu import Mpu6050
+from annulus_pipe.sensors.ina226 import Ina226, Rail
+from annulus_pipe.twin.capacitance import Bore, Ground
+from annulus_pipe.twin.head import start_head
+from annulus_pipe.twin.i2c_chips import HeadBus
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.wall.features import FeatureKind
 
 pytestmark = [
     pytest.mark.alone,

@@ -14,18 +14,18 @@ import pytest
 import zmq
 from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
 
-from annulus.daemon.command import Operator
-from annulus.daemon.config import HeadConfig, SocketConfig
-from annulus.daemon.control import ControlClient
-from annulus.daemon.controller_line import ControllerLine
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.demo import demo_config
-from annulus.job import JobSheet
-from annulus.record.recording import open_recording
-from annulus.reprocess.relabel import audit
-from annulus.twin.head import HeadHandle
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.daemon.command import Operator
+from annulus_pipe.daemon.config import HeadConfig, SocketConfig
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.controller_line import ControllerLine
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.demo import demo_config
+from annulus_pipe.job import JobSheet
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.reprocess.relabel import audit
+from annulus_pipe.twin.head import HeadHandle
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 pytestmark = [
     pytest.mark.alone,

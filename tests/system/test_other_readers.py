@@ -19,13 +19,13 @@ import pytest
 from mcap.reader import SeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from annulus.geometry.pose import Pose
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec
-from annulus.record.frames import LABEL_TOPIC
-from annulus.record.recording import open_recording
-from annulus.record.writer import RecordingWriter
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.frames import LABEL_TOPIC
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.wall.profile import Profile
 
 FRAMES, H, W, PERIOD_NS = 20, 96, 128, 40_000_000
 RERUN = Path(sys.executable).with_name("rerun")

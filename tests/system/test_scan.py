@@ -14,30 +14,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.capture.camera import HeldRequest
-from annulus.capture.photometry import Light, measure
-from annulus.capture.timing import FrameTiming
-from annulus.daemon.account import ScanReport
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import HeadConfig, RecordConfig
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.demo import REMARK, demo_config
-from annulus.job import JobSheet
-from annulus.link.client import Client
-from annulus.link.messages import StateFlag, Status
-from annulus.record.calibration_file import load_calibration
-from annulus.record.codec import Codec
-from annulus.record.origin import origin_of
-from annulus.record.recording import Recording, open_part, open_recording
-from annulus.record.scan import open_scan
-from annulus.reprocess.relabel import Audit, audit
-from annulus.twin.faults import Faults
-from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.worlds import World, demo_world
-from annulus.vocabulary import AnnulusError, Label
-from annulus.wall.profile import Profile
+from annulus_pipe.capture.camera import HeldRequest
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.daemon.account import ScanReport
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.config import HeadConfig, RecordConfig
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.demo import REMARK, demo_config
+from annulus_pipe.job import JobSheet
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import StateFlag, Status
+from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.origin import origin_of
+from annulus_pipe.record.recording import Recording, open_part, open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.reprocess.relabel import Audit, audit
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.head import HeadHandle, start_head
+from annulus_pipe.twin.worlds import World, demo_world
+from annulus_pipe.vocabulary import AnnulusError, Label
+from annulus_pipe.wall.profile import Profile
 
 pytestmark = pytest.mark.alone
 
@@ -243,7 +243,7 @@ class Still:
     def set_controls(self, controls: object) -> None: ...
 
     def capture_request(self) -> HeldRequest:
-        from annulus.capture.camera import EndOfFrames
+        from annulus_pipe.capture.camera import EndOfFrames
 
         if self.count == 0:
             raise EndOfFrames

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.link.pins import pins_of
-from annulus.twin.profiles import profile_of
-from annulus.twin.soak import soak
+from annulus_pipe.link.pins import pins_of
+from annulus_pipe.twin.profiles import profile_of
+from annulus_pipe.twin.soak import soak
 
 pytestmark = pytest.mark.deep(
     gate="tests/unit/twin/test_soak.py::test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets"

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.demo import demo_config
-from annulus.record.recording import open_recording
-from annulus.twin.faults import NO_FAULTS, Faults
-from annulus.twin.head import start_head
-from annulus.twin.score import score_cloud
-from annulus.twin.worlds import stereo_world
-from annulus.vocabulary import Label
-from annulus.wall import Profile
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.demo import demo_config
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.faults import NO_FAULTS, Faults
+from annulus_pipe.twin.head import start_head
+from annulus_pipe.twin.score import score_cloud
+from annulus_pipe.twin.worlds import stereo_world
+from annulus_pipe.vocabulary import Label
+from annulus_pipe.wall import Profile
 
 pytestmark = [
     pytest.mark.alone,

@@ -7,14 +7,14 @@ import pytest
 from test_control import until
 from test_operating import run
 
-from annulus.daemon.config import LampConfig, SocketConfig, load_config
-from annulus.daemon.control import ControlClient
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.daemon.tuning import Cancelled, tune
-from annulus.demo import demo_config
-from annulus.twin.head import start_head
-from annulus.twin.worlds import demo_world
+from annulus_pipe.daemon.config import LampConfig, SocketConfig, load_config
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.daemon.tuning import Cancelled, tune
+from annulus_pipe.demo import demo_config
+from annulus_pipe.twin.head import start_head
+from annulus_pipe.twin.worlds import demo_world
 
 pytestmark = [
     pytest.mark.alone,

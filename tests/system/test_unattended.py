@@ -13,18 +13,18 @@ from pathlib import Path
 
 import pytest
 
-from annulus.capture.remote import RemoteCamera
-from annulus.daemon.check import check_head
-from annulus.daemon.config import RecordConfig
-from annulus.daemon.health import HARMLESS, UNKNOWN_SHARE, Health
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.demo import demo_config
-from annulus.link.client import Client
-from annulus.record.recording import open_part, open_recording
-from annulus.twin.head import HeadHandle, head_toml, start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.daemon.check import check_head
+from annulus_pipe.daemon.config import RecordConfig
+from annulus_pipe.daemon.health import HARMLESS, UNKNOWN_SHARE, Health
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.demo import demo_config
+from annulus_pipe.link.client import Client
+from annulus_pipe.record.recording import open_part, open_recording
+from annulus_pipe.twin.head import HeadHandle, head_toml, start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.alone
 
@@ -85,7 +85,9 @@ def test_no_scan_begins_without_room_and_lamps_stay_dark(head: HeadHandle, tmp_p
 def test_a_scan_ends_and_its_recording_is_closed_before_the_disk_is_full(
     head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("annulus.daemon.disk.free_bytes", lambda *_: 10**9 if session.labelled < 15 else 150 * 10**6)
+    monkeypatch.setattr(
+        "annulus_pipe.daemon.disk.free_bytes", lambda *_: 10**9 if session.labelled < 15 else 150 * 10**6
+    )
     session, _ = session_of(head, tmp_path, RecordConfig(min_free_gb=0))
     end = time.monotonic() + 60.0
     with pytest.raises(AnnulusError, match="MB free: the scan is ended while its recording can be closed"):
@@ -113,7 +115,7 @@ def test_a_service_is_ready_fed_and_stopped_and_its_port_is_its_own(head: HeadHa
         systemd.bind(str(tmp_path / "notify"))
         systemd.settimeout(60.0)
         daemon = subprocess.Popen(
-            [sys.executable, "-c", "from annulus.cli import main; main()", "daemon", "--config", str(toml)],
+            [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "daemon", "--config", str(toml)],
             env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"},
             stderr=subprocess.PIPE,
             text=True,

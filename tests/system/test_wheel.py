@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from annulus.shipped import UNIT, shipped
+from annulus_pipe.shipped import UNIT, shipped
 from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, native
 
 pytestmark = pytest.mark.deep(
@@ -68,9 +68,13 @@ def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: P
         "annulus.service",
         "build.json",
     )
-    assert {f"annulus/shipped/{name}" for name in shipped_files} <= names
-    assert {"annulus/report/page.html.j2", "annulus/report/style.css", "annulus/selftest/page.html.j2"} <= names
-    others = {name for name in names if not name.startswith(("annulus/", "annulus-"))}
+    assert {f"annulus_pipe/shipped/{name}" for name in shipped_files} <= names
+    assert {
+        "annulus_pipe/report/page.html.j2",
+        "annulus_pipe/report/style.css",
+        "annulus_pipe/selftest/page.html.j2",
+    } <= names
+    others = {name for name in names if not name.startswith(("annulus_pipe/", "annulus_pipe-"))}
     assert not others
     assert not [name for name in names if name.endswith((".c", ".h", ".mjs", ".nbi", ".nbc", ".pyc", ".elf"))]
     assert not [name for name in names if Path(name).name.startswith(("test_", "conftest"))]

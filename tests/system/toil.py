@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class TwoPartError(Exception):

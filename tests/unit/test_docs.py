@@ -10,8 +10,8 @@ import pytest
 import typer
 import yaml
 
-from annulus.daemon.config import load_config
-from annulus.job import read_job
+from annulus_pipe.daemon.config import load_config
+from annulus_pipe.job import read_job
 from tools.manual import commands, families, settings, topics
 from tools.manual.pages import DOCS, ROOT, included, pages, whole
 
@@ -65,7 +65,7 @@ def test_head_toml_is_told_key_by_key() -> None:
 def test_topics_of_the_manual_are_those_that_are_sent_and_those_of_the_readme() -> None:
     sent = set(topics.topics())
     assert sent == set(topics.BODIES)
-    readme = (ROOT / "host/annulus/daemon/README.md").read_text(encoding="utf-8")
+    readme = (ROOT / "host/annulus_pipe/daemon/README.md").read_text(encoding="utf-8")
     table = readme.partition("## Published")[2].partition("\n## ")[0]
     assert sent == set(re.findall(r"^\| `([a-z]+(?:/<\w+>)?)` \|", table, re.M))
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from annulus import extras
-from annulus.extras import EXTRA_OF, adds, need, requirements
-from annulus.vocabulary import AnnulusError
+from annulus_pipe import extras
+from annulus_pipe.extras import EXTRA_OF, adds, need, requirements
+from annulus_pipe.vocabulary import AnnulusError
 
 ROOT = Path(__file__).resolve().parents[2]
 IMPORTED = {
@@ -50,9 +50,9 @@ def test_every_package_of_an_extra_is_known_by_the_name_that_is_imported() -> No
 
 def test_every_room_and_command_is_imported_without_any_extra() -> None:
     rooms = """
-import importlib, pkgutil, annulus
-for found in pkgutil.walk_packages(annulus.__path__, "annulus."):
-    if not found.name.startswith("annulus.shipped."):  # a library, no module
+import importlib, pkgutil, annulus_pipe
+for found in pkgutil.walk_packages(annulus_pipe.__path__, "annulus_pipe."):
+    if not found.name.startswith("annulus_pipe.shipped."):  # a library, no module
         importlib.import_module(found.name)
 print("all")
 """
@@ -67,7 +67,7 @@ print("all")
     [["--help"], ["reconstruct", "--help"], ["demo", "--help"], ["daemon", "--config", "none.toml", "--check"]],
 )
 def test_what_a_field_machine_does_needs_no_extra(command: list[str]) -> None:
-    run = without_extras("from annulus.cli import main\nmain()", *command)
+    run = without_extras("from annulus_pipe.cli import main\nmain()", *command)
     assert "is not installed" not in run.stdout + run.stderr
     assert "Traceback" not in run.stderr
     assert run.returncode == ("--check" in command)
@@ -78,7 +78,7 @@ def test_what_a_field_machine_does_needs_no_extra(command: list[str]) -> None:
 )
 def test_work_that_needs_one_says_which_and_how_to_add_it(tmp_path: Path) -> None:
     (tmp_path / "raw.hdf5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    code = "from annulus.cli import main\nmain()"
+    code = "from annulus_pipe.cli import main\nmain()"
     image = without_extras(code, "tai", "image", str(tmp_path / "raw.hdf5"), "-o", str(tmp_path / "out"))
     model = without_extras(code, "bore", "model", "-o", str(tmp_path / "model"))
     for run, package, extra in ((image, "h5py", "tai"), (model, "skfem", "crossbore")):
@@ -89,9 +89,9 @@ def test_work_that_needs_one_says_which_and_how_to_add_it(tmp_path: Path) -> Non
 def test_the_command_is_the_one_of_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert adds("tai") == "make setup EXTRAS=tai"
     monkeypatch.setattr(extras, "is_shipped", lambda _: True)  # a wheel
-    assert adds("tai", tmp_path) == f"{tmp_path}/bin/pip install 'annulus[tai]'"
+    assert adds("tai", tmp_path) == f"{tmp_path}/bin/pip install 'annulus-pipe[tai]'"
     (tmp_path / "pipx_metadata.json").write_text("{}")
-    assert adds("tai", tmp_path).startswith("pipx inject annulus 'cvxpy>=")
+    assert adds("tai", tmp_path).startswith("pipx inject annulus-pipe 'cvxpy>=")
     assert {one.partition(">")[0] for one in requirements("tai")} == {"cvxpy", "h5py", "pyvisa", "pyvisa-py"}
 
 

@@ -11,7 +11,7 @@ import pytest
 import tiers
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ROOT / "host/annulus"
+ROOMS = ROOT / "host/annulus_pipe"
 MAP = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 LINES_MAX = 500
 SOURCES = (".py", ".c", ".h", ".mjs")
@@ -43,7 +43,7 @@ def test_the_formatter_has_the_last_word() -> None:
 def test_every_room_says_what_it_is_for_and_stands_on_the_map() -> None:
     silent, unmapped = [], []
     for init in sorted(ROOMS.rglob("__init__.py")):
-        room = init.parent.relative_to(ROOMS.parent).as_posix().removeprefix("annulus/")
+        room = init.parent.relative_to(ROOMS.parent).as_posix().removeprefix("annulus_pipe/")
         if not ast.get_docstring(ast.parse(init.read_text(encoding="utf-8"))):
             silent.append(room)
         if init.parent != ROOMS and f"`{room}/`" not in MAP:
@@ -62,7 +62,7 @@ def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     layers = next(c["layers"] for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
     floors = {
-        name.strip().removeprefix("annulus."): len(layers) - 1 - i
+        name.strip().removeprefix("annulus_pipe."): len(layers) - 1 - i
         for i, layer in enumerate(layers)
         for name in re.split(r"[|:]", layer)
     }
@@ -71,7 +71,7 @@ def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
 
 
 def test_nothing_of_the_package_looks_for_a_file_by_a_parents_folder() -> None:
-    """An installed one has no such parents; `annulus.shipped` says where a file lies."""
+    """An installed one has no such parents; `annulus_pipe.shipped` says where a file lies."""
     looking = [
         f"{path.relative_to(ROOT)}:{number}"
         for path in sorted(ROOMS.rglob("*.py"))

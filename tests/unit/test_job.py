@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus.job import WORDS, JobSheet, job_of, provenance, read_job, recorded_provenance
-from annulus.record.origin import origin_of
-from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
-from annulus.untrusted import printable
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.job import WORDS, JobSheet, job_of, provenance, read_job, recorded_provenance
+from annulus_pipe.record.origin import origin_of
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.untrusted import printable
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_names_of_before_are_read() -> None:

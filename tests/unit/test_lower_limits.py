@@ -2,9 +2,9 @@
 
 import pytest
 
-from annulus.cli import _print_summary
-from annulus.report.page import _depth
-from annulus.wall.defects import Defect, Kind
+from annulus_pipe.cli import _print_summary
+from annulus_pipe.report.page import _depth
+from annulus_pipe.wall.defects import Defect, Kind
 
 
 def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> None:

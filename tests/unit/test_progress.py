@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from annulus.cli.show import Bars, progress
+from annulus_pipe.cli.show import Bars, progress
 
 
 def test_a_program_hears_of_progress_a_line_at_a_time_and_not_of_every_step(capsys: pytest.CaptureFixture[str]) -> None:

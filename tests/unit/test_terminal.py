@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.cli import main
-from annulus.cli.terminal import as_it_is, escaped
+from annulus_pipe.cli import main
+from annulus_pipe.cli.terminal import as_it_is, escaped
 
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\u202egnp.\x9b31m\r\x08"
 
@@ -52,7 +52,7 @@ def test_a_hostile_name_is_shown_as_it_is_written(
 def test_a_name_that_is_no_text_is_shown(tmp_path: Path) -> None:
     name = os.fsencode(tmp_path) + b"/scan\xff\x1b.mcap"
     done = subprocess.run(
-        [sys.executable, "-c", "from annulus.cli import main; main()", "reconstruct", name, "-o", tmp_path],
+        [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "reconstruct", name, "-o", tmp_path],
         capture_output=True,
     )
     assert done.returncode == 1 and b"\\udcff\\x1b.mcap: no such scan" in done.stderr

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus import untrusted
-from annulus.vocabulary import AnnulusError
+from annulus_pipe import untrusted
+from annulus_pipe.vocabulary import AnnulusError
 
 FORTY = 40
 

@@ -5,14 +5,22 @@ A message with an option's name in it is wrong on a web page, in a notebook and 
 
 import ast
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-import annulus
+import annulus_pipe
 
-HOUSE = Path(annulus.__file__).parent
+HOUSE = Path(annulus_pipe.__file__).parent
+ROOT = Path(__file__).resolve().parents[2]
+INSTALLS = re.compile(r"\b(?:(?:pipx?|uv tool|uv)\s+(?:install|inject|add|run|upgrade|uninstall)|uvx)\b([^|;&\n`]*)")
+ANOTHERS = re.compile(r"annulus(\[.*)?([=<>~!@].*)?")  # what an index answers with another project's package
+ASKED = re.compile(
+    r"""\b(?:version|version_of|requires|distribution|files)\(\s*["']annulus["']"""
+    r"""|\b(?:from|import)\s(?:[\w, ]+, )?annulus\b"""
+)
 OPTION = re.compile(r"(?<![\w-])--[a-z][\w-]*")
 FOREIGN = {  # options of other programs that a message tells the user to run
     "--compression": "mcap compress --compression",
@@ -55,3 +63,44 @@ run([node, "--drive", *(["--vcd", str(path)] if path else [])])
 text = "make the environment with --system-site-packages; a -- dash; --- a rule; well--known"
 '''
     assert [name for _, name in options(source)] == ["--fps", "--plain", "--port"]
+
+
+def anothers(text: str) -> list[str]:
+    """What of a text has a user install or ask for `annulus`, which on the index is another project's package."""
+    words = (word.strip("'\",)") for found in INSTALLS.findall(text) for word in found.split())
+    return [word for word in words if ANOTHERS.fullmatch(word)] + ASKED.findall(text)
+
+
+def test_no_text_installs_the_other_annulus() -> None:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    texts = {}
+    for name in filter(None, listed.split("\0")):
+        path = ROOT / name
+        if path.is_file() and path != Path(__file__) and b"\0" not in (data := path.read_bytes()):
+            texts[name] = data.decode("utf-8", "replace")
+    assert not {name: wrong for name, text in texts.items() if (wrong := anothers(text))}
+
+
+def test_the_other_annulus_is_noticed_however_it_is_asked_for() -> None:
+    for text in (
+        "pip install annulus",
+        "`pip install -U 'annulus[console]'`",
+        "pipx install annulus==1.0.4",
+        "uvx annulus demo",
+        "uv add annulus>=1",
+        "f\"{bin}/pip install 'annulus[{extra}]'\"",
+        "pipx inject annulus cvxpy",
+        'metadata.version("annulus")',
+        "from annulus import wall",
+        "import annulus",
+    ):
+        assert anothers(text), text
+    for text in (
+        "pip install annulus-pipe",
+        "pip install './annulus_pipe-0.1.0.whl[pi]'",
+        "pipx inject annulus-pipe x",
+        "python3 -m venv annulus && annulus/bin/pip install ./annulus_pipe-..whl",
+        "import annulus_pipe",
+        "uv sync",
+    ):
+        assert not anothers(text), text

@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from annulus.link.messages import PolarityFlag
+from annulus_pipe.link.messages import PolarityFlag
 from tools.attack import products
 from tools.attack.boards import MS, Board, BrokenPromiseError, Emulated, Native
 from tools.attack.play import Player

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from annulus.controller import TICKS_PER_US
-from annulus.shipped import IMAGE, shipped
-from annulus.twin.native import NativeBoard
+from annulus_pipe.controller import TICKS_PER_US
+from annulus_pipe.shipped import IMAGE, shipped
+from annulus_pipe.twin.native import NativeBoard
 
 US = TICKS_PER_US
 MS = 1000 * US

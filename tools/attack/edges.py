@@ -5,9 +5,20 @@ and none refused beyond it.
 from bisect import bisect_left, bisect_right
 from itertools import chain
 
-from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, PIN_LED, PIN_PROJECTOR
-from annulus.link.messages import Arm, ArmFlag, Commit, Configured, Edge, Event, Fault, FaultCode, Stage, StatusReply
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus_pipe.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, PIN_LED, PIN_PROJECTOR
+from annulus_pipe.link.messages import (
+    Arm,
+    ArmFlag,
+    Commit,
+    Configured,
+    Edge,
+    Event,
+    Fault,
+    FaultCode,
+    Stage,
+    StatusReply,
+)
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import MS, Board, insist
 from tools.attack.kept import Asked, Kept, Told
 from tools.attack.play import Player

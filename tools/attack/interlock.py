@@ -2,14 +2,14 @@
 
 from bisect import bisect_right
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     INTERLOCK_DISAGREE_MS,
     PIN_INTERLOCK,
     PIN_INTERLOCK_ANTIVALENT,
     PIN_MICROWAVE,
     PIN_TRIGGER,
 )
-from annulus.link.messages import Clear, Fault, FaultCode, StateFlag, StatusCode, StatusReply
+from annulus_pipe.link.messages import Clear, Fault, FaultCode, StateFlag, StatusCode, StatusReply
 from tools.attack.boards import MS, Board, insist
 from tools.attack.kept import OPENS, Kept, Told, accepted
 from tools.attack.products_truth import latching

@@ -2,8 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from annulus.controller import CAMERA_TRIGGER_MIN_TICKS, PIN_CAMERA_TRIGGER, PIN_INTERLOCK, PIN_INTERLOCK_ANTIVALENT
-from annulus.link.messages import (
+from annulus_pipe.controller import (
+    CAMERA_TRIGGER_MIN_TICKS,
+    PIN_CAMERA_TRIGGER,
+    PIN_INTERLOCK,
+    PIN_INTERLOCK_ANTIVALENT,
+)
+from annulus_pipe.link.messages import (
     CameraTrigger,
     Command,
     Commit,

@@ -3,7 +3,7 @@
 import itertools
 from dataclasses import dataclass
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     LAMP_DUTY_MAX_PERMILLE,
     LAMP_WIDTH_MAX_TICKS,
     MICROWAVE_DUTY_MAX_PERMILLE,
@@ -12,7 +12,7 @@ from annulus.controller import (
     PIN_MICROWAVE,
     PIN_PROJECTOR,
 )
-from annulus.link.messages import Burst, StatusCode
+from annulus_pipe.link.messages import Burst, StatusCode
 from tools.attack.boards import insist
 from tools.attack.kept import Kept
 from tools.attack.play import Player

@@ -5,7 +5,7 @@ import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_END_HIGH,
@@ -17,7 +17,7 @@ from annulus.controller import (
     TURNTABLE_LEAD_MS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Move,

@@ -2,7 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 
-from annulus.link.messages import Edge, Event, Fault, FaultCode
+from annulus_pipe.link.messages import Edge, Event, Fault, FaultCode
 from tools.attack.boards import MS, insist
 from tools.attack.kept import Kept, Told
 from tools.attack.scenes import Scene

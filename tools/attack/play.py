@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     PIN_CAMERA_TRIGGER,
     PIN_DIRECTION,
     PIN_ENABLE,
@@ -22,8 +22,8 @@ from annulus.controller import (
     PIN_VBUS,
     TURNTABLE_LAG_MS,
 )
-from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import (
+from annulus_pipe.link.codec import Decoder, Frame, encode
+from annulus_pipe.link.messages import (
     LEVEL,
     SCHEMA_HASH,
     Arm,

@@ -7,7 +7,7 @@ The wiring (which pins are inverted) is the board's, and stays for as many scene
 import random
 from dataclasses import replace
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     CAMERA_TRIGGER_MIN_TICKS,
     FRAME_PERIOD_MIN_TICKS,
     PIN_END_HIGH,
@@ -17,7 +17,7 @@ from annulus.controller import (
     PREAMBLE_MAX,
     TURNTABLE_PERIOD_MIN_TICKS,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     LEVEL,
     RESET_MAGIC,
     Arm,

@@ -5,9 +5,20 @@ and a measurement forbid what they must and say what they cost.
 from bisect import bisect_left, bisect_right
 from itertools import pairwise
 
-from annulus.controller import PIN_CAMERA_TRIGGER
-from annulus.link.messages import Booted, Clear, Commit, Edge, Event, Fault, FaultCode, Identify, Measure, StatusReply
-from annulus.vocabulary import EdgeFlag
+from annulus_pipe.controller import PIN_CAMERA_TRIGGER
+from annulus_pipe.link.messages import (
+    Booted,
+    Clear,
+    Commit,
+    Edge,
+    Event,
+    Fault,
+    FaultCode,
+    Identify,
+    Measure,
+    StatusReply,
+)
+from annulus_pipe.vocabulary import EdgeFlag
 from tools.attack.boards import MS, insist
 from tools.attack.kept import Asked, Kept, Told, accepted, triggers
 from tools.attack.scenes import Scene

@@ -6,7 +6,7 @@ A scene begins and ends disarmed, with the interlock closed, so that it can also
 import random
 from dataclasses import dataclass, field, replace
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     CHIPS_MAX,
     CODES,
     LAMP_WIDTH_MAX_TICKS,
@@ -17,7 +17,7 @@ from annulus.controller import (
     PREAMBLE_MAX,
     TICKS_PER_US,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Burst,

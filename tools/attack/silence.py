@@ -1,7 +1,7 @@
 """A host that says nothing: what is live ends within the timeout and not before, says so, and stays latched."""
 
-from annulus.controller import PIN_CAMERA_TRIGGER, PIN_STEP
-from annulus.link.messages import Arm, Clear, Fault, FaultCode, Move, Stage, StatusCode
+from annulus_pipe.controller import PIN_CAMERA_TRIGGER, PIN_STEP
+from annulus_pipe.link.messages import Arm, Clear, Fault, FaultCode, Move, Stage, StatusCode
 from tools.attack.boards import MS, USB, Board, insist
 from tools.attack.kept import Kept, Told
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from annulus.link.messages import Arm, Commit, Edge, Identify, Preamble, Stage, StatusCode
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus_pipe.link.messages import Arm, Commit, Edge, Identify, Preamble, Stage, StatusCode
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import insist
 from tools.attack.kept import Asked, Kept
 

@@ -3,7 +3,7 @@
 import random
 from dataclasses import replace
 
-from annulus.controller import (
+from annulus_pipe.controller import (
     MICROWAVE_PULSE_MAX_TICKS,
     PIN_END_HIGH,
     PIN_END_LOW,
@@ -12,7 +12,17 @@ from annulus.controller import (
     TURNTABLE_PERIOD_MIN_TICKS,
     TURNTABLE_POSITION_MAX_STEPS,
 )
-from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, Clear, Move, Turntable, TurntableFlag, TurntableStop
+from annulus_pipe.link.messages import (
+    Arm,
+    ArmFlag,
+    Burst,
+    BurstCode,
+    Clear,
+    Move,
+    Turntable,
+    TurntableFlag,
+    TurntableStop,
+)
 from tools.attack.boards import MS, Edge
 
 US = TICKS_PER_US

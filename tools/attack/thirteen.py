@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_MICROWAVE, PIN_STEP, PIN_SYNC
-from annulus.link.messages import (
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_MICROWAVE, PIN_STEP, PIN_SYNC
+from annulus_pipe.link.messages import (
     LEVEL,
     SCHEMA_HASH,
     Arm,
@@ -44,7 +44,7 @@ from annulus.link.messages import (
     StatusReply,
     SyncLost,
 )
-from annulus.vocabulary import EdgeFlag
+from annulus_pipe.vocabulary import EdgeFlag
 from tools.attack.boards import BOOTED, MS, ROOT, USB, BrokenPromiseError, Emulated
 from tools.attack.kept import Kept
 from tools.attack.odometer import is_odometer
@@ -260,12 +260,12 @@ def alike_after_power_ups(place: Place) -> Measured:
 MARK = b"between-two-openings"
 OPENING = f"""
 import sys
-from annulus.link.messages import Ping
-from annulus.link.session import Session
+from annulus_pipe.link.messages import Ping
+from annulus_pipe.link.session import Session
 try:
-    from annulus.link.port import Port
+    from annulus_pipe.link.port import Port
 except ImportError:  # where it was before
-    from annulus.link.client import Port
+    from annulus_pipe.link.client import Port
 session = Session()
 for number in (1, 2):
     port = Port(sys.argv[1])
@@ -307,11 +307,11 @@ FRAMES = """
 import sys
 sys.path.insert(0, sys.argv[1])
 try:
-    from annulus.capture.v4l2 import V4L2Camera
+    from annulus_pipe.capture.v4l2 import V4L2Camera
 except ImportError:
-    from annulus.capture.camera import V4L2Camera
-from annulus.capture.camera import grab
-from annulus.vocabulary import AnnulusError
+    from annulus_pipe.capture.camera import V4L2Camera
+from annulus_pipe.capture.camera import grab
+from annulus_pipe.vocabulary import AnnulusError
 try:
     camera = V4L2Camera("/dev/video0", width=640, height=360)
     camera.start()

@@ -3,8 +3,8 @@
 from bisect import bisect_left
 from collections.abc import Iterator
 
-from annulus.controller import CODES, PIN_MICROWAVE, PIN_TRIGGER, TRIGGER_TICKS
-from annulus.link.messages import (
+from annulus_pipe.controller import CODES, PIN_MICROWAVE, PIN_TRIGGER, TRIGGER_TICKS
+from annulus_pipe.link.messages import (
     Arm,
     ArmFlag,
     Burst,

@@ -6,7 +6,7 @@ Knows nothing of how the firmware does it. Every check raises BrokenPromiseError
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     EVENT_RING,
     Arm,
     ArmFlag,
@@ -20,7 +20,7 @@ from annulus.link.messages import (
     StatusCode,
     SyncLost,
 )
-from annulus.vocabulary import EdgeFlag
+from annulus_pipe.vocabulary import EdgeFlag
 from tools.attack import interlock, products_truth, updates
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
 from tools.attack.edges import Edges, asked_at

@@ -6,9 +6,9 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from annulus.controller import UPDATE_CHUNK_BYTES, UPDATE_MAX_BYTES, UPDATE_SILENCE_MS
-from annulus.flash.image import APPLICATION_SIZE_AT, application, read_image
-from annulus.link.messages import (
+from annulus_pipe.controller import UPDATE_CHUNK_BYTES, UPDATE_MAX_BYTES, UPDATE_SILENCE_MS
+from annulus_pipe.flash.image import APPLICATION_SIZE_AT, application, read_image
+from annulus_pipe.link.messages import (
     Arm,
     Command,
     Identify,
@@ -21,7 +21,7 @@ from annulus.link.messages import (
     UpdateEnd,
     UpdateRefusal,
 )
-from annulus.shipped import IMAGE, shipped
+from annulus_pipe.shipped import IMAGE, shipped
 from tools.attack.boards import MS, insist
 from tools.attack.kept import Asked, Kept, accepted
 

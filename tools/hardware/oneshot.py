@@ -8,7 +8,7 @@ shortest is what a lamp may count on.
 
 from dataclasses import dataclass
 
-from annulus.controller import LAMP_WIDTH_MAX_TICKS, MICROWAVE_PULSE_MAX_TICKS, TICK_HZ
+from annulus_pipe.controller import LAMP_WIDTH_MAX_TICKS, MICROWAVE_PULSE_MAX_TICKS, TICK_HZ
 
 PART_TOLERANCE = 0.10  # of the one-shot itself, over supply and temperature
 RESISTOR_TOLERANCE = 0.01

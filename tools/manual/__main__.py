@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tools.manual.pages import DOCS, ROOT
 
-PLACE = ROOT / "host/annulus/shipped/manual"
+PLACE = ROOT / "host/annulus_pipe/shipped/manual"
 USELESS = (".doctrees", ".buildinfo", "objects.inv", "_sources")
 
 

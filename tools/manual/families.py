@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCE = ROOT / "host/annulus"
+SOURCE = ROOT / "host/annulus_pipe"
 FAMILIES = ROOT / "docs/manual/families.toml"
 WORDS_MIN = 2  # of a message that is worth showing
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """module : below host/annulus, as a family names it."""
+    """module : below host/annulus_pipe, as a family names it."""
 
     module: str
     line: int

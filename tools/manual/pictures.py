@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 
-from annulus.numeric.arrays import Image
+from annulus_pipe.numeric.arrays import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "build/manual-pictures"
@@ -15,7 +15,7 @@ WIDTH = 832
 
 def make() -> None:
     """FOLDER, whole."""
-    newest = max(file.stat().st_mtime for room in MADE_OF for file in (ROOT / "host/annulus" / room).rglob("*.py"))
+    newest = max(file.stat().st_mtime for room in MADE_OF for file in (ROOT / "host/annulus_pipe" / room).rglob("*.py"))
     stamp = FOLDER / ".made"
     if not stamp.exists() or stamp.stat().st_mtime < newest:
         FOLDER.mkdir(parents=True, exist_ok=True)
@@ -26,9 +26,9 @@ def make() -> None:
 
 def _frames() -> None:
     """What cameras see: one frame by each light, in three worlds."""
-    from annulus.record.recording import to_bgr
-    from annulus.twin.render import Renderer
-    from annulus.twin.scan import world_named
+    from annulus_pipe.record.recording import to_bgr
+    from annulus_pipe.twin.render import Renderer
+    from annulus_pipe.twin.scan import world_named
 
     for name, z_mm in (("demo", 130.0), ("stereo", 60.0), ("mirror-3inch", 30.0), ("fringe-mirror", 30.0)):
         world = world_named(name, 7).scaled(WIDTH)
@@ -41,8 +41,8 @@ def _frames() -> None:
 
 def _results() -> None:
     """What comes out of the sample recording."""
-    from annulus.report import Account, write
-    from annulus.reprocess import Processes, open_job, reprocess
+    from annulus_pipe.report import Account, write
+    from annulus_pipe.reprocess import Processes, open_job, reprocess
     from tools.sample.__main__ import write as write_sample
 
     with tempfile.TemporaryDirectory() as folder:

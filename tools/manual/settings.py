@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from annulus.daemon import config
-from annulus.job import BEFORE
-from annulus.sensors.chips import CHIPS
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon import config
+from annulus_pipe.job import BEFORE
+from annulus_pipe.sensors.chips import CHIPS
+from annulus_pipe.vocabulary import AnnulusError
 
-README = Path(__file__).resolve().parents[2] / "host/annulus/daemon/README.md"
+README = Path(__file__).resolve().parents[2] / "host/annulus_pipe/daemon/README.md"
 WITH: Mapping[str, dict[str, object]] = {"log": {"file": "head.log"}}  # what else a section needs to be looked at
 LISTS = {("publish", "viewers"): "a list of public keys", ("control", "viewers"): "a list of public keys"}
 

@@ -9,15 +9,15 @@ import tokenize
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from annulus.daemon import found, live_wall, pictures, publishing
-from annulus.daemon.control import REQUEST_MAX, TEXT_MAX, Do
-from annulus.daemon.health import Health
-from annulus.daemon.observer import Mark, Observer
-from annulus.daemon.state import State
-from annulus.job import JobSheet
-from annulus.sensors.sample import Sample
-from annulus.stream.frames import FrameHeader
-from annulus.wall.profile import Profile
+from annulus_pipe.daemon import found, live_wall, pictures, publishing
+from annulus_pipe.daemon.control import REQUEST_MAX, TEXT_MAX, Do
+from annulus_pipe.daemon.health import Health
+from annulus_pipe.daemon.observer import Mark, Observer
+from annulus_pipe.daemon.state import State
+from annulus_pipe.job import JobSheet
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.wall.profile import Profile
 
 # of frames and profiles, in the publisher's process
 MADE = (pictures.preview, pictures.rows, pictures.slits, live_wall.word)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from annulus.selftest.rig.wiring import NAMES, NEEDED, OPTIONAL
+from annulus_pipe.selftest.rig.wiring import NAMES, NEEDED, OPTIONAL
 
 OUT = Path(__file__).with_name("rig.svg")
 WIDTH, ROW, TOP, BOARD = 760, 26, 70, 170

@@ -4,8 +4,8 @@ import json
 import sys
 from pathlib import Path
 
-from annulus.twin.recorded import write_recording
-from annulus.twin.worlds import demo_world
+from annulus_pipe.twin.recorded import write_recording
+from annulus_pipe.twin.worlds import demo_world
 
 FOLDER = Path(__file__).parent / "annulus_sample"
 WIDTH, FRAMES = 832, 64  # half the camera's; every ring passes every defect, 5 mm a frame

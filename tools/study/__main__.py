@@ -5,8 +5,8 @@ import json
 import sys
 from pathlib import Path
 
-from annulus.cli.show import progress
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli.show import progress
+from annulus_pipe.vocabulary import AnnulusError
 from tools.study import chosen, study
 
 

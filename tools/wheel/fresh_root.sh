@@ -13,7 +13,7 @@ arch=$1 suite=$2 folder=$3
 shift 3
 case $arch in amd64) machine=x86_64 ;; arm64) machine=aarch64 ;; *) echo "fresh_root.sh: $arch: expected amd64 or arm64" >&2; exit 2 ;; esac
 here=$(cd "$(dirname "$0")/../.." && pwd)
-wheel=$(ls -t "$here"/dist/annulus-*"_$machine.whl" 2>/dev/null | head -1) && [ -n "$wheel" ] || { echo "fresh_root.sh: no wheel: make wheels" >&2; exit 1; }
+wheel=$(ls -t "$here"/dist/annulus_pipe-*"_$machine.whl" 2>/dev/null | head -1) && [ -n "$wheel" ] || { echo "fresh_root.sh: no wheel: make wheels" >&2; exit 1; }
 root=$folder/$suite-$arch
 mirror=${MIRROR:-http://deb.debian.org/debian}
 mkdir -p "$folder"
@@ -58,7 +58,7 @@ step() { # words, command, what is said of it (a command)
 : >"$folder/$suite-$arch.log"
 name=$(basename "$wheel")
 row "compilers" 0 "$(inside 'command -v gcc cc make clang || echo none')"
-step "pipx install $name" "pipx install ./$name" 'echo "$(du -sm /root/.local/*/pipx/venvs/annulus /root/.local/pipx/venvs/annulus 2>/dev/null | head -1 | cut -f1) MB of environment, wheel $(stat -c %s annulus-*.whl) bytes"'
+step "pipx install $name" "pipx install ./$name" 'echo "$(du -sm /root/.local/*/pipx/venvs/annulus /root/.local/pipx/venvs/annulus 2>/dev/null | head -1 | cut -f1) MB of environment, wheel $(stat -c %s annulus_pipe-*.whl) bytes"'
 step "annulus --version" "annulus --version" "annulus --version"
 step "annulus firmware info" "annulus firmware info" "annulus firmware info | head -3 | tr -s ' \\n' ' '"
 step "annulus firmware flash" "annulus firmware flash" "annulus firmware flash 2>&1"

@@ -23,7 +23,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 GLIBC = (2, 17)
 MACHINES = ("x86_64", "aarch64")
-SHIPPED = "annulus/shipped"
+SHIPPED = "annulus_pipe/shipped"
 
 
 class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
@@ -47,7 +47,7 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
             _run("make", "--silent", "-C", str(root / "firmware"), "image", "rig")
             for image in ("annulus.uf2", "annulus-rp2350.uf2", "rig.uf2"):
                 made[root / "firmware/build" / image] = image
-        manual = root / "host/annulus/shipped/manual"
+        manual = root / "host/annulus_pipe/shipped/manual"
         if manual.is_dir():
             made[manual] = "manual"
         build_data["force_include"] |= {str(source): f"{SHIPPED}/{name}" for source, name in made.items()}

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.stereo.reconstructor import StereoReconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world, stereo_world, translucent
-from annulus.wall.profile import Profile
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stereo.reconstructor import StereoReconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import clean_world, stereo_world, translucent
+from annulus_pipe.wall.profile import Profile
 
 R = 76.2
 # mm: what edges of red, green, blue move by in the drawn wall, lens and smoothing in it (test_translucent_wall)

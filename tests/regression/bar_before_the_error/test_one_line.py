@@ -3,7 +3,7 @@ when the bar starts before anything is reported."""
 
 import pytest
 
-from annulus.cli.show import progress
+from annulus_pipe.cli.show import progress
 
 
 def test_work_that_never_began_shows_no_bar(capsys: pytest.CaptureFixture[str]) -> None:

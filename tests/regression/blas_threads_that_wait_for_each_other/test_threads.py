@@ -7,7 +7,9 @@ import sys
 
 import pytest
 
-COUNT = "import annulus, numpy as np, os; a = np.ones((600, 600)); a @ a; print(len(os.listdir('/proc/self/task')))"
+COUNT = (
+    "import annulus_pipe, numpy as np, os; a = np.ones((600, 600)); a @ a; print(len(os.listdir('/proc/self/task')))"
+)
 
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core has one thread")

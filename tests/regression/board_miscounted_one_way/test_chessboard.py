@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.calibrate.camera import calibrate_camera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.camera import calibrate_camera
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_a_board_miscounted_one_way_is_pointed_out(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.crossbore import BORES, Grid, Kind, detect, on_grid
-from annulus.crossbore.odds import COUNTED, FATES, MIDDLE, odds
-from annulus.twin.capacitance import Bore, Ground, log
+from annulus_pipe.crossbore import BORES, Grid, Kind, detect, on_grid
+from annulus_pipe.crossbore.odds import COUNTED, FATES, MIDDLE, odds
+from annulus_pipe.twin.capacitance import Bore, Ground, log
 
 PLAIN = Ground(6000.0, uneven=0.06)
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, RADIUS_MM, RadiusMap, pocket, round_pipe, scan
 
-from annulus.wall.conformity import Criteria, Decision, judge
-from annulus.wall.profile import Profile
-from annulus.wall.survey import survey
+from annulus_pipe.wall.conformity import Criteria, Decision, judge
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 
 
 def bore(quantity: str, limit_mm: float) -> Criteria:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
 
 CAMERA = Camera("pinhole", 640, 480, 520.0, 521.0, 322.0, 236.0, (-0.2, 0.05, 1e-3, -5e-4, 0.0))
 VIEWS, NOISE_PX, SQUARE_MM = 12, 0.06, 25.0

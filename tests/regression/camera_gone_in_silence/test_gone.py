@@ -5,14 +5,14 @@ import time
 
 import numpy as np
 
-from annulus.capture.camera import HeldRequest
-from annulus.daemon.account import Account
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.camera_feed import Arrived, Began, CameraFeed
-from annulus.daemon.camera_state import CameraState
-from annulus.daemon.observer import Observer
-from annulus.stream.ring import FrameRing
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import HeldRequest
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.camera_feed import Arrived, Began, CameraFeed
+from annulus_pipe.daemon.camera_state import CameraState
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.vocabulary import AnnulusError
 
 AWAY_S = 2.0
 ASKED_MAX = 20  # 3 to 4 are measured: the pauses double from 0.5 s on

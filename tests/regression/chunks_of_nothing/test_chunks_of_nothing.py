@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import zstandard
 
-from annulus.record import allowance, walk
-from annulus.record.recording import open_recording
-from annulus.record.writer import RecordingWriter
+from annulus_pipe.record import allowance, walk
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.writer import RecordingWriter
 
 SIZE = 1 << 20
 

@@ -3,7 +3,7 @@ paid for the place (5113f79). Fails with a place's price that two colours can pa
 
 import numpy as np
 
-from annulus.rings.decode import NONE, decode
+from annulus_pipe.rings.decode import NONE, decode
 
 
 def test_no_colours_make_up_for_a_wall_that_cannot_be_there() -> None:

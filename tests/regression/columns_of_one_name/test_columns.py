@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus.archive.catalogue import add
-from annulus.archive.catalogue_query import _apart
-from annulus.cli import app
-from annulus.extras import need
+from annulus_pipe.archive.catalogue import add
+from annulus_pipe.archive.catalogue_query import _apart
+from annulus_pipe.cli import app
+from annulus_pipe.extras import need
 
 MOMENTS = {  # SQL, and the text that stands for it
     "DATE '9999-12-31' + 1": "10000-01-01",

@@ -10,17 +10,17 @@ import msgpack
 import pytest
 import zmq
 
-from annulus.daemon.command import Operator
-from annulus.daemon.config import HeadConfig, LogConfig
-from annulus.daemon.control import ControlSocket
-from annulus.daemon.logfile import LogFile
-from annulus.daemon.observer import Commanded, Observer, Observers
-from annulus.daemon.operating import WRITTEN_MAX, Operating
-from annulus.daemon.request import Request
-from annulus.daemon.state import State
-from annulus.job import JobSheet
-from annulus.stream.access import Doorkeeper
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.command import Operator
+from annulus_pipe.daemon.config import HeadConfig, LogConfig
+from annulus_pipe.daemon.control import ControlSocket
+from annulus_pipe.daemon.logfile import LogFile
+from annulus_pipe.daemon.observer import Commanded, Observer, Observers
+from annulus_pipe.daemon.operating import WRITTEN_MAX, Operating
+from annulus_pipe.daemon.request import Request
+from annulus_pipe.daemon.state import State
+from annulus_pipe.job import JobSheet
+from annulus_pipe.stream.access import Doorkeeper
+from annulus_pipe.vocabulary import AnnulusError
 
 ANNA = {"id": "annas-own-secret", "name": "Anna", "from": "10.0.0.9"}
 

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from annulus.console import reconstructing
+from annulus_pipe.console import reconstructing
 
 
 class Child:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from annulus.untrusted import parse_toml
-from annulus.wall.conformity import Criteria, Decision, _of_feature
-from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.untrusted import parse_toml
+from annulus_pipe.wall.conformity import Criteria, Decision, _of_feature
+from annulus_pipe.wall.features import Feature, FeatureKind, Measure
 
 LIMITS = "[[gap]]\nseverity = 3\ngap_mm = 10.0\n[[joint]]\nseverity = 3\nhilo_mm = 1.5\nbead_height_mm = 2.0\n"
 

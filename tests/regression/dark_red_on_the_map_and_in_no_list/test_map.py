@@ -8,10 +8,10 @@ import pytest
 from over_limit import draw, scanned
 from synthetic_pipe import CALIBRATION, pocket, round_pipe
 
-from annulus.wall import survey
-from annulus.wall.grid import smooth
-from annulus.wall.indications import label_around
-from annulus.wall.survey import Survey
+from annulus_pipe.wall import survey
+from annulus_pipe.wall.grid import smooth
+from annulus_pipe.wall.indications import label_around
+from annulus_pipe.wall.survey import Survey
 
 
 def unaccounted(pipe: Survey) -> list[str]:

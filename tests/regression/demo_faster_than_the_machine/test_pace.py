@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-import annulus.console.demo
-import annulus.console.serving
-from annulus.cli import main
+import annulus_pipe.console.demo
+import annulus_pipe.console.serving
+from annulus_pipe.cli import main
 
 
 @pytest.mark.parametrize("typed, begun", [([], 3.5), (["--fps", "7"], 7.0)])
@@ -26,13 +26,13 @@ def test_the_page_of_a_simulated_head_runs_at_a_rate_that_holds(
         yield "tcp://127.0.0.1:5601", "tcp://127.0.0.1:5602"
 
     for name, parts in {  # of modules that take seconds to import, and are not asked for more
-        "annulus.demo": {"measure_pace": lambda world: SimpleNamespace(fps=3.5, why="what 2 cores hold")},
-        "annulus.reprocess.ahead": {"make_ready": lambda *_: None},
-        "annulus.twin.worlds": {"demo_world": lambda: SimpleNamespace(calibration=lambda: None)},
+        "annulus_pipe.demo": {"measure_pace": lambda world: SimpleNamespace(fps=3.5, why="what 2 cores hold")},
+        "annulus_pipe.reprocess.ahead": {"make_ready": lambda *_: None},
+        "annulus_pipe.twin.worlds": {"demo_world": lambda: SimpleNamespace(calibration=lambda: None)},
     }.items():
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(**parts))
-    monkeypatch.setattr(annulus.console.demo, "simulated", simulated)
-    monkeypatch.setattr(annulus.console.serving, "serve", lambda program: None)
+    monkeypatch.setattr(annulus_pipe.console.demo, "simulated", simulated)
+    monkeypatch.setattr(annulus_pipe.console.serving, "serve", lambda program: None)
     monkeypatch.setattr("sys.argv", ["annulus", "console", "--demo", "-o", str(tmp_path), *typed])
     with contextlib.suppress(SystemExit):
         main()

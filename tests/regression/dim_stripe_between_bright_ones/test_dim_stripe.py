@@ -4,8 +4,8 @@ Fails when light must come back by a part of the fall (0.35) instead of a multip
 import numpy as np
 from drawn import calibration
 
-from annulus.rings.polar import polar_grid, unroll
-from annulus.rings.slits import find_slits
+from annulus_pipe.rings.polar import polar_grid, unroll
+from annulus_pipe.rings.slits import find_slits
 
 SLITS, WIDTH, BLUR = (50.0, 74.0), 6.0, 1.0
 

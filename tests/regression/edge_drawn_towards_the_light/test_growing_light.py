@@ -4,8 +4,8 @@ stood hundredths of a pixel aside (aba87d0). Fails without `_drawn` in find_slit
 import numpy as np
 from drawn import calibration
 
-from annulus.rings.polar import polar_grid, unroll
-from annulus.rings.slits import find_slits
+from annulus_pipe.rings.polar import polar_grid, unroll
+from annulus_pipe.rings.slits import find_slits
 
 CENTRE, WIDTH, BLUR = 60.3, 9.0, 1.6
 

@@ -1,10 +1,10 @@
 """On a line whose answers took 30 ms edges were placed in time by a clock coarser than the labels' window (e45d243).
 Fails without the bound on the clock's error in HeadControl's placing of edges."""
 
-from annulus.link.head import EdgeSeen, HeadControl
-from annulus.link.messages import Edge, Stage
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus_pipe.link.head import EdgeSeen, HeadControl
+from annulus_pipe.link.messages import Edge, Stage
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

@@ -7,9 +7,9 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION, RADIUS_MM
 
-from annulus.wall.adjustment import BIAS, CURVATURE, PIECE, RADIUS, START, State, adjust, sightings
-from annulus.wall.axis import COARSE, Begins, _free, _pruned, _seen_round
-from annulus.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.adjustment import BIAS, CURVATURE, PIECE, RADIUS, START, State, adjust, sightings
+from annulus_pipe.wall.axis import COARSE, Begins, _free, _pruned, _seen_round
+from annulus_pipe.wall.centreline import Centreline, Piece
 
 BEGINS = [Begins.STRAIGHT, Begins.BEND, Begins.STRAIGHT]
 

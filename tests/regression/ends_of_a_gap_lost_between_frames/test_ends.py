@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.joints import _gap
-from annulus.wall.points import Points
+from annulus_pipe.wall.joints import _gap
+from annulus_pipe.wall.points import Points
 
 AT_MM, HALF_SLIT_MM, DEEP_MM = 172.0, 2.0, 6.0
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-import annulus.console
-from annulus.console.feed import Feed
-from annulus.console.hub import Hub, Viewer
-from annulus.console.live import Live
+import annulus_pipe.console
+from annulus_pipe.console.feed import Feed
+from annulus_pipe.console.hub import Hub, Viewer
+from annulus_pipe.console.live import Live
 
-STATIC = Path(annulus.console.__file__).with_name("static")
+STATIC = Path(annulus_pipe.console.__file__).with_name("static")
 # As much of a document as a list needs, and the page's own module run in it.
 PAGE = """
 class Place {

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 
 @pytest.mark.deep(but=1)

@@ -9,12 +9,12 @@ import pytest
 from over_limit import scanned
 from synthetic_pipe import CALIBRATION, SHADOW_RATIO, RadiusMap, pocket, round_pipe
 
-from annulus.wall import survey
-from annulus.wall.defects import _agreed, find_defects
-from annulus.wall.grid import build_wall
-from annulus.wall.indications import Indication, Kind
-from annulus.wall.profile import Profile
-from annulus.wall.standing import END_WHY
+from annulus_pipe.wall import survey
+from annulus_pipe.wall.defects import _agreed, find_defects
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.indications import Indication, Kind
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.standing import END_WHY
 
 HERE = "tests/regression/floor_that_was_not_seen_to_its_end/test_floor.py"
 
@@ -91,7 +91,7 @@ def test_what_one_look_alone_says_is_deeper_is_no_depth(monkeypatch: pytest.Monk
     assert alone > 4.5 and its == pytest.approx(0.02) and len(others) > 2
     assert abs(depth - 2.0) < 0.3 and own >= 0.1, "no surer than the look that reaches it"
     for known in (0.12, 0.9):  # of the look that reaches it
-        monkeypatch.setattr("annulus.wall.defects._agreed", lambda *_, mm=known: (2.0, mm))
+        monkeypatch.setattr("annulus_pipe.wall.defects._agreed", lambda *_, mm=known: (2.0, mm))
         (one,) = find_defects(pipe, shadow_ratio=SHADOW_RATIO).undecided
         assert one.depth_mm == 2.0 and 2 * known <= one.depth_k2_mm < 2.0
 

@@ -3,7 +3,7 @@ without WORTH_MM."""
 
 from synthetic_pipe import oval, pocket, round_pipe, scan
 
-from annulus.wall.registration import register
+from annulus_pipe.wall.registration import register
 
 
 def test_frames_that_agree_are_left_as_they_are() -> None:

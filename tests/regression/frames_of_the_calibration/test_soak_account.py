@@ -1,7 +1,7 @@
 """The soak left out the frames it had found the camera's offset with, and what disturbed them: a wrong label there went
 uncounted (2c51237). Fails when those frames are not labelled."""
 
-from annulus.twin.soak import soak
+from annulus_pipe.twin.soak import soak
 
 
 def test_every_frame_of_a_soak_is_in_its_account() -> None:

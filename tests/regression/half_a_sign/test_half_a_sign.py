@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import zmq
 
-from annulus.console.answers import Refusal, asked_for
-from annulus.console.viewing import parse
-from annulus.daemon.control import ControlClient
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console.answers import Refusal, asked_for
+from annulus_pipe.console.viewing import parse
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.vocabulary import AnnulusError
 
 HALF = "joint \ud800"
 

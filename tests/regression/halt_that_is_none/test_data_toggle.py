@@ -3,7 +3,7 @@ when clear_halt is sent without asking for the endpoint's status."""
 
 from boot_rom import Board, Bus
 
-from annulus.flash.picoboot import PicoBoot, choose, find_boot_loaders
+from annulus_pipe.flash.picoboot import PicoBoot, choose, find_boot_loaders
 
 
 def test_an_endpoint_that_is_not_halted_is_left_alone() -> None:

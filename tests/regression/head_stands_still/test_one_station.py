@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from annulus.geometry.pose import Pose
-from annulus.wall.profile import Profile
-from annulus.wall.texture import pose_at
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.texture import pose_at
 
 
 def test_frames_at_one_station_have_no_order() -> None:

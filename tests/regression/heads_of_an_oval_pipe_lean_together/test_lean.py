@@ -6,8 +6,8 @@ import pytest
 from chained_pipe import ridden
 from synthetic_pipe import CALIBRATION
 
-from annulus.wall.axis import find_axis
-from annulus.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.axis import find_axis
+from annulus_pipe.wall.centreline import Centreline, Piece
 
 R = CALIBRATION.pipe_radius_mm
 MOST_DEG = 0.06  # 0.02 measured; 0.85 with the wave left out

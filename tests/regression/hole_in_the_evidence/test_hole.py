@@ -14,20 +14,20 @@ import numpy as np
 import pytest
 from faulty_head import Head
 
-from annulus.cli import main
-from annulus.daemon.account import Account
-from annulus.daemon.config import HeadConfig
-from annulus.daemon.evidence import Evidence
-from annulus.job import JobSheet
-from annulus.labelling.evidence import Row
-from annulus.record.frames import place_of
-from annulus.record.recording import Recording, open_recording
-from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
-from annulus.reprocess.places import incomplete_findings
-from annulus.reprocess.relabel import relabel
-from annulus.sensors.odometer import ANYWHERE_MM
-from annulus.vocabulary import Label
+from annulus_pipe.cli import main
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import HeadConfig
+from annulus_pipe.daemon.evidence import Evidence
+from annulus_pipe.job import JobSheet
+from annulus_pipe.labelling.evidence import Row
+from annulus_pipe.record.frames import place_of
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.reprocess.places import incomplete_findings
+from annulus_pipe.reprocess.relabel import relabel
+from annulus_pipe.sensors.odometer import ANYWHERE_MM
+from annulus_pipe.vocabulary import Label
 
 BATCH = 100  # rows of one record
 SAME_MM = 1e-6

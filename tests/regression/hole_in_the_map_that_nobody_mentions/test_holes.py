@@ -7,13 +7,13 @@ import pytest
 from over_limit import RODS_DEG, scanned
 from synthetic_pipe import CALIBRATION, RadiusMap, pocket, round_pipe
 
-from annulus.report import Account
-from annulus.report.page import _verdict
-from annulus.report.summary import summarize
-from annulus.wall import survey
-from annulus.wall.profile import Profile
-from annulus.wall.survey import Survey
-from annulus.wall.unjudged import Unjudged
+from annulus_pipe.report import Account
+from annulus_pipe.report.page import _verdict
+from annulus_pipe.report.summary import summarize
+from annulus_pipe.wall import survey
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.unjudged import Unjudged
 
 HERE = "tests/regression/hole_in_the_map_that_nobody_mentions/test_holes.py"
 

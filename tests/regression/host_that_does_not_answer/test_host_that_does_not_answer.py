@@ -7,11 +7,11 @@ import time
 
 import pytest
 
-from annulus.daemon import controller_line
-from annulus.daemon.account import Account
-from annulus.daemon.config import HeadConfig
-from annulus.daemon.controller_line import ControllerLine, stage_of
-from annulus.daemon.observer import Observer
+from annulus_pipe.daemon import controller_line
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import HeadConfig
+from annulus_pipe.daemon.controller_line import ControllerLine, stage_of
+from annulus_pipe.daemon.observer import Observer
 
 
 class Host:

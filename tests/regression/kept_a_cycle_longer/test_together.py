@@ -6,8 +6,8 @@ import random
 import pytest
 from bench_of_faults import Bench, Faults
 
-from annulus.twin.soak import soak
-from annulus.vocabulary import Lamp
+from annulus_pipe.twin.soak import soak
+from annulus_pipe.vocabulary import Lamp
 
 PROFILES = ("hiccups", "hiccups-alone", "deeper-restarts", "pictures-behind", "queue-cycles", "queue-cycles-alone")
 EVERY, LENGTH, AT = 200, 15, 305  # frames

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.console.access import Password, client_keys
-from annulus.console.program import Daemon, Door, Program
-from annulus.console.serving import prepared
-from annulus.daemon.config import load_config
-from annulus.doctor.machine import secrets
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console.access import Password, client_keys
+from annulus_pipe.console.program import Daemon, Door, Program
+from annulus_pipe.console.serving import prepared
+from annulus_pipe.daemon.config import load_config
+from annulus_pipe.doctor.machine import secrets
+from annulus_pipe.vocabulary import AnnulusError
 
 PUBLIC, SECRET = (key.decode() for key in zmq.curve_keypair())
 

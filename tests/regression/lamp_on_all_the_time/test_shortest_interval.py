@@ -3,10 +3,10 @@
 Seen: compared with the frame period again in `core/sequencer.c`, 19.99 ms are staged: an LED on 99.9 % of the time.
 """
 
-from annulus.controller import PIN_LED, PIN_SYNC, TICKS_PER_US
-from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import SCHEMA_HASH, Arm, ArmFlag, Command, Commit, Identify, Reply, Stage, StatusCode
-from annulus.twin.native import NativeBoard
+from annulus_pipe.controller import PIN_LED, PIN_SYNC, TICKS_PER_US
+from annulus_pipe.link.codec import Decoder, Frame, encode
+from annulus_pipe.link.messages import SCHEMA_HASH, Arm, ArmFlag, Command, Commit, Identify, Reply, Stage, StatusCode
+from annulus_pipe.twin.native import NativeBoard
 
 MS = 1000 * TICKS_PER_US
 

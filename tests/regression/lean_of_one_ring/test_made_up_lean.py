@@ -3,8 +3,8 @@ lean of up to ten degrees out of the noise (58c3901). Fails when one ring's lean
 
 import numpy as np
 
-from annulus.geometry.pose import Pose
-from annulus.wall.pose import fit_pose
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.pose import fit_pose
 
 RADIUS_MM = 76.2
 

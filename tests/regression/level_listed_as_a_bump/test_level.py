@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import pytest
 
-from annulus.wall.defects import Defect, Kind, _may_be_level
+from annulus_pipe.wall.defects import Defect, Kind, _may_be_level
 
 RADIUS = 76.2
 WALL = cast(Any, SimpleNamespace(mean_radius_mm=RADIUS))

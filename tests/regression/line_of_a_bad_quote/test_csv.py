@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.record.scan import open_scan
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_the_line_that_is_bad_is_named(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.record.scan import open_scan
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.mark.parametrize(

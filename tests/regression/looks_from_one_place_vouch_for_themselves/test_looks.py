@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic_pipe import NOISE_MM, RADIUS_MM, round_pipe, scan
 
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.crosscheck import with_revised_sigma
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.crosscheck import with_revised_sigma
 
 PIECES = Centreline([Piece(0.0, RADIUS_MM), Piece(120.0, RADIUS_MM, turn=(1e-6, 0.0))])  # poses are its adjustment's
 

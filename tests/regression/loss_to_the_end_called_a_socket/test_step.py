@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, round_pipe, scan
 
-from annulus.wall.conformity import Criteria, Decision, judge
-from annulus.wall.survey import survey
+from annulus_pipe.wall.conformity import Criteria, Decision, judge
+from annulus_pipe.wall.survey import survey
 
 
 @pytest.mark.parametrize("behind", [True, pytest.param(False, marks=pytest.mark.deep(but=1))])

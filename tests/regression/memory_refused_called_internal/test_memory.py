@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from annulus import cli
+from annulus_pipe import cli
 
 SAID = [
     MemoryError(),

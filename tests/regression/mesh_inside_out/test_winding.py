@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic_pipe import round_pipe, scan
 
-from annulus.wall.grid import build_wall
-from annulus.wall.surface import triangulate
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.surface import triangulate
 
 
 def test_every_triangle_faces_the_axis() -> None:

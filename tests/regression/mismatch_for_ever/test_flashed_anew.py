@@ -1,10 +1,10 @@
 """A head that had met a controller of another schema never asked again, though it was flashed meanwhile (05b16e0).
 Fails without identify being sent in phase MISMATCH."""
 
-from annulus.link.head import HeadControl
-from annulus.link.messages import SCHEMA_HASH, Stage
-from annulus.link.phase import Phase
-from annulus.testing.scripted import ScriptedController
+from annulus_pipe.link.head import HeadControl
+from annulus_pipe.link.messages import SCHEMA_HASH, Stage
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.testing.scripted import ScriptedController
 
 MS = 1_000_000
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

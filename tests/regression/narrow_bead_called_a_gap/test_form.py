@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
-from annulus.wall.joints import Joint, _Form, _form, taken
-from annulus.wall.points import SECTORS, Points
-from annulus.wall.unjudged import nameless
+from annulus_pipe.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
+from annulus_pipe.wall.joints import Joint, _Form, _form, taken
+from annulus_pipe.wall.points import SECTORS, Points
+from annulus_pipe.wall.unjudged import nameless
 
 BEFORE_MM, AFTER_MM = 50.0, 50.8  # radii of the two pipes
 WALL: Any = SimpleNamespace(

@@ -12,19 +12,19 @@ from typing import Any
 import pytest
 import zmq
 
-from annulus.daemon import camera_feed
-from annulus.daemon.account import Account
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.camera_feed import CameraFeed
-from annulus.daemon.camera_state import CameraState
-from annulus.daemon.observer import Observer
-from annulus.stream.pool_events import Died, PoolEvent
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared, WorkerKind, WorkerPool
+from annulus_pipe.daemon import camera_feed
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.camera_feed import CameraFeed
+from annulus_pipe.daemon.camera_state import CameraState
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.stream.pool_events import Died, PoolEvent
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
 
 IDLE = """
 import sys
-from annulus.stream.working import serve
+from annulus_pipe.stream.working import serve
 
 class Idle:
     frame = note = close = idle = staticmethod(lambda *_: None)
@@ -36,9 +36,9 @@ serve(sys.argv[-1], lambda setup: Idle())
 NO_DESCRIPTOR = """
 import resource, sys, zmq
 from pathlib import Path
-from annulus.daemon.evidence import versions
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared, WorkerKind, WorkerPool
+from annulus_pipe.daemon.evidence import versions
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
 
 known = versions()
 context, ring = zmq.Context(), FrameRing(2, 1200)

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import zmq
 
-from annulus.daemon.account import Account
-from annulus.daemon.config import SocketConfig
-from annulus.daemon.observer import Observer
-from annulus.daemon.publishing import Publishing
-from annulus.stream.pool_events import Ready
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import SocketConfig
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.publishing import Publishing
+from annulus_pipe.stream.pool_events import Ready
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared
 
 
 def test_what_is_said_before_the_first_publisher_is_up_is_no_loss(tmp_path: Path) -> None:

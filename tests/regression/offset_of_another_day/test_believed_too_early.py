@@ -3,10 +3,10 @@ Fails when an offset counts as good before a picture of the LED proved it."""
 
 import pytest
 
-from annulus.capture.pairing import Pairing
-from annulus.capture.photometry import Photometry
-from annulus.capture.seen import FrameSeen
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.capture.pairing import Pairing
+from annulus_pipe.capture.photometry import Photometry
+from annulus_pipe.capture.seen import FrameSeen
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
 PERIOD = 40 * MS

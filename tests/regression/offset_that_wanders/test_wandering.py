@@ -1,11 +1,11 @@
 """Frames that wandered away from their edges were doubted, until they came near the next edge and were believed again,
 one frame off (cfd2ab4). Fails when nothing but the nearest edge is asked."""
 
-from annulus.capture.pairing import Pairing
-from annulus.capture.photometry import Photometry
-from annulus.capture.proof import Witness
-from annulus.capture.seen import FrameSeen
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.capture.pairing import Pairing
+from annulus_pipe.capture.photometry import Photometry
+from annulus_pipe.capture.proof import Witness
+from annulus_pipe.capture.seen import FrameSeen
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
 PERIOD = 40 * MS

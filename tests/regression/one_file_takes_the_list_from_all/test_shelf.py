@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.console import shelf as room
-from annulus.console.shelf import Listing, Shelf
+from annulus_pipe.console import shelf as room
+from annulus_pipe.console.shelf import Listing, Shelf
 
 HEAD = "index,file,light,z_mm\n"
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import SHADOW_RATIO, round_pipe, scan
 
-from annulus.wall.defects import find_defects
-from annulus.wall.grid import build_wall
-from annulus.wall.standing import FEW
+from annulus_pipe.wall.defects import find_defects
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.standing import FEW
 
 
 @pytest.mark.parametrize("by_mm", [-0.7, 0.7])

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from annulus.archive.catalogue import add
-from annulus.archive.catalogue_query import open_catalogue
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.catalogue import add
+from annulus_pipe.archive.catalogue_query import open_catalogue
+from annulus_pipe.vocabulary import AnnulusError
 
 SECONDS, MEMORY_MB = 1.0, 256
 OVER = 1.5  # times the limits, at most ..

@@ -6,13 +6,13 @@ import ctypes
 
 import pytest
 
-from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.link.head import HeadControl
-from annulus.link.messages import Arm, ArmFlag, Stage
-from annulus.link.phase import Phase
-from annulus.link.session import Answer, Session, identify
-from annulus.twin.native import NativeBoard
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
+from annulus_pipe.link.head import HeadControl
+from annulus_pipe.link.messages import Arm, ArmFlag, Stage
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.link.session import Answer, Session, identify
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.vocabulary import AnnulusError
 
 MS = 100_000  # ticks
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

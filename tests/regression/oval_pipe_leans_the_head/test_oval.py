@@ -3,8 +3,8 @@ the fit knows no twofold term of the radius (SHAPE_PRIOR = SHAPE_TOLERANCE = 1e-
 
 import numpy as np
 
-from annulus.geometry.pose import Pose
-from annulus.wall.pose import fit_pose
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.pose import fit_pose
 
 RADIUS_MM = 76.2
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, RADIUS_MM, bump, pocket, round_pipe, scan
 
-from annulus.wall.defects import Defect, Kind, _nameless
-from annulus.wall.standing import HOLLOW_WHY, ROUND_WHY, TALL_WHY, THROUGH_WHY
-from annulus.wall.survey import Survey, survey
+from annulus_pipe.wall.defects import Defect, Kind, _nameless
+from annulus_pipe.wall.standing import HOLLOW_WHY, ROUND_WHY, TALL_WHY, THROUGH_WHY
+from annulus_pipe.wall.survey import Survey, survey
 
 STATIONS = [4.8 * i for i in range(25) if i % 5 != 4]
 AT_MM = 180.0

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.photometry import measure
-from annulus.capture.remote import RemoteCamera
-from annulus.daemon.account import Account
-from annulus.daemon.camera_feed import Arrived, Began, Happened
-from annulus.daemon.intake import Intake
-from annulus.labelling.labelling import CameraMode, Labelling
-from annulus.labelling.navigation import Navigation
-from annulus.stream.ring import FrameRing
-from annulus.twin.camera_server import SLOTS, CameraServer
-from annulus.vocabulary import CameraSequence
+from annulus_pipe.capture.photometry import measure
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.camera_feed import Arrived, Began, Happened
+from annulus_pipe.daemon.intake import Intake
+from annulus_pipe.labelling.labelling import CameraMode, Labelling
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.twin.camera_server import SLOTS, CameraServer
+from annulus_pipe.vocabulary import CameraSequence
 
 PERIOD = 330_000_000
 PAUSE = 58_000_000_000

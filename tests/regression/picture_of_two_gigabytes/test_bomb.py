@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.record.scan import read_image
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.scan import read_image
+from annulus_pipe.vocabulary import AnnulusError
 
 SIDE = 12_000
 

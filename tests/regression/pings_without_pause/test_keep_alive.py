@@ -3,8 +3,8 @@
 import time
 from types import SimpleNamespace
 
-from annulus.link.client import Client
-from annulus.link.messages import Ping
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Ping
 
 
 class Line:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.export.wall_map import read_wall
-from annulus.flash.image import read_image
-from annulus.record.acoustic import load_acoustic
-from annulus.record.bore_log import read_bore_log
-from annulus.record.volume import open_volume
-from annulus.tai.design import load_transducer
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.export.wall_map import read_wall
+from annulus_pipe.flash.image import read_image
+from annulus_pipe.record.acoustic import load_acoustic
+from annulus_pipe.record.bore_log import read_bore_log
+from annulus_pipe.record.volume import open_volume
+from annulus_pipe.tai.design import load_transducer
+from annulus_pipe.vocabulary import AnnulusError
 
 READERS: dict[str, Callable[[Path], object]] = {
     "log.csv": read_bore_log,

@@ -2,14 +2,14 @@
 
 import pytest
 
-from annulus.controller import PIN_INTERLOCK, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
-from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, HeadControl
-from annulus.link.messages import Stage
-from annulus.link.phase import Phase
-from annulus.link.session import Rebooted
-from annulus.sensors.odometer import Place
-from annulus.twin.native import NativeBoard
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.link.head import EdgeSeen, HeadControl
+from annulus_pipe.link.messages import Stage
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.link.session import Rebooted
+from annulus_pipe.sensors.odometer import Place
+from annulus_pipe.twin.native import NativeBoard
 
 MS = 100_000  # ticks
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

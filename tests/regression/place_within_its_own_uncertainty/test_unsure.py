@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic_pipe import SHADOW_RATIO, pocket, round_pipe, scan
 
-from annulus.wall.defects import UNSURE, find_defects
-from annulus.wall.grid import Wall, build_wall
+from annulus_pipe.wall.defects import UNSURE, find_defects
+from annulus_pipe.wall.grid import Wall, build_wall
 
 DEPTH_MM = 0.6
 

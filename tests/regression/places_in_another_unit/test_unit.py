@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.scan import open_scan
-from annulus.reprocess.engine import look_at
-from annulus.reprocess.job import Job
-from annulus.reprocess.places import APART_MAX_MM, require_near
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.reprocess.engine import look_at
+from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.places import APART_MAX_MM, require_near
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.mark.parametrize("times", [100, 1000, 10_000, -10_000])

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from annulus.stream.frames import FrameHeader
-from annulus.stream.pool_events import Died, Done, PoolEvent
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared, WorkerKind, WorkerPool
-from annulus.vocabulary import Label
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.pool_events import Died, Done, PoolEvent
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
+from annulus_pipe.vocabulary import Label
 
 SLEEPER = """
 import sys, time
-from annulus.stream.working import serve
+from annulus_pipe.stream.working import serve
 
 class Sleeper:
     frame = staticmethod(lambda header, image, seconds: time.sleep(seconds))

@@ -12,15 +12,15 @@ from typing import Any
 
 import pytest
 
-import annulus.console
-from annulus.daemon import disk
-from annulus.daemon.config import HeadConfig, RecordConfig
-from annulus.daemon.health import Word
-from annulus.daemon.observer import Observer
-from annulus.daemon.vitals import Vitals
-from annulus.vocabulary import AnnulusError
+import annulus_pipe.console
+from annulus_pipe.daemon import disk
+from annulus_pipe.daemon.config import HeadConfig, RecordConfig
+from annulus_pipe.daemon.health import Word
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.vitals import Vitals
+from annulus_pipe.vocabulary import AnnulusError
 
-STATIC = Path(annulus.console.__file__).with_name("static")
+STATIC = Path(annulus_pipe.console.__file__).with_name("static")
 PAGE = """
 class Place {
   constructor() { this.children = []; this.dataset = {}; this.textContent = ""; this.hidden = false; this.kept = {}; }

@@ -13,17 +13,17 @@ import pytest
 import zmq
 from mcap.reader import make_reader
 
-from annulus.daemon.account import Account
-from annulus.daemon.observer import Observer
-from annulus.daemon.pools import Recorder, RecordingSetup
-from annulus.daemon.priority import LEVEL, PUBLISHER_LEVEL, RECORDER_LEVEL, raise_priority
-from annulus.daemon.recorder import PAUSE_S, RecorderJob
-from annulus.record.codec import Codec
-from annulus.record.recording import open_recording
-from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.pools import Recorder, RecordingSetup
+from annulus_pipe.daemon.priority import LEVEL, PUBLISHER_LEVEL, RECORDER_LEVEL, raise_priority
+from annulus_pipe.daemon.recorder import PAUSE_S, RecorderJob
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared
+from annulus_pipe.vocabulary import Label
 
 REFUSED = "no real-time priority (Operation not permitted)"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record.codec import Codec
-from annulus.record.recording import open_recording
-from annulus.record.walk import DamagedError
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.walk import DamagedError
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES, H, W = 6, 24, 32
 

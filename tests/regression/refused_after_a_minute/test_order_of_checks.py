@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus import reprocess
-from annulus.cli import main
-from annulus.record.calibration_file import save_calibration
-from annulus.twin.worlds.pipes import demo_world
+from annulus_pipe import reprocess
+from annulus_pipe.cli import main
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.twin.worlds.pipes import demo_world
 
 
 @pytest.mark.parametrize("command", ["reconstruct", "reprocess"])

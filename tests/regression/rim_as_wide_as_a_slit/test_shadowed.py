@@ -3,7 +3,7 @@ was a slit longer than Eq. 3.24 says (edb2eac). Fails with two cells of slack in
 
 import numpy as np
 
-from annulus.wall.shadow import shadowed
+from annulus_pipe.wall.shadow import shadowed
 
 
 def test_what_a_step_and_a_slits_width_hide_is_said_to_be_hidden() -> None:

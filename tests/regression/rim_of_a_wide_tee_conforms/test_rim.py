@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, opening, round_pipe, scan
 
-from annulus.wall.conformity import Criteria, Decision, judge
-from annulus.wall.features import FeatureKind
-from annulus.wall.survey import Survey, survey
+from annulus_pipe.wall.conformity import Criteria, Decision, judge
+from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wall.survey import Survey, survey
 
 LIMITS = Criteria.from_dict({"tee": [{"severity": 1, "protrusion_mm": 3.0}]})
 

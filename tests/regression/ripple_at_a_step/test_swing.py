@@ -5,8 +5,8 @@ with RIPPLE_EDGES = 0.5."""
 import numpy as np
 from synthetic_pipe import SHADOW_RATIO, RadiusMap, pocket, round_pipe, scan
 
-from annulus.wall.defects import Kind, find_defects
-from annulus.wall.grid import build_wall
+from annulus_pipe.wall.defects import Kind, find_defects
+from annulus_pipe.wall.grid import build_wall
 
 
 def swinging(inner: RadiusMap, z0: float) -> RadiusMap:

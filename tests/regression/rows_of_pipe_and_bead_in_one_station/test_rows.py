@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.grid import Wall
-from annulus.wall.stations import Stations, measure_stations
+from annulus_pipe.wall.grid import Wall
+from annulus_pipe.wall.stations import Stations, measure_stations
 
 HEIGHT_MM, FIRST_ROW, LAST_ROW = 3.0, 12, 15  # of a bead
 

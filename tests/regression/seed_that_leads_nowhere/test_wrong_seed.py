@@ -5,8 +5,8 @@ import math
 
 from drawn import calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 
 def test_a_seed_of_another_place_costs_no_frame() -> None:

@@ -9,11 +9,11 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION, RADIUS_MM
 
-from annulus.wall.axis import find_axis
-from annulus.wall.bends import find_bends
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.features import FeatureKind
-from annulus.wall.survey import survey
+from annulus_pipe.wall.axis import find_axis
+from annulus_pipe.wall.bends import find_bends
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wall.survey import survey
 
 STATIONS = [4.0 * i for i in range(25) if i % 5 != 4]
 BEND_MM = 3.0 * RADIUS_MM

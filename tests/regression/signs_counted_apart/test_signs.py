@@ -8,8 +8,8 @@ import random
 import pytest
 from bench_of_faults import Bench, Faults, Score
 
-from annulus.labelling.replay import PATIENCE_NS, Replay
-from annulus.vocabulary import Label, Lamp
+from annulus_pipe.labelling.replay import PATIENCE_NS, Replay
+from annulus_pipe.vocabulary import Label, Lamp
 
 EVERY, LENGTH, AT = 500, 15, 205  # frames
 COUNTS = pytest.mark.parametrize("counted", [True, False])

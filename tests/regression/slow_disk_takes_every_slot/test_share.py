@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import zmq
 
-from annulus.daemon.account import Account
-from annulus.daemon.observer import Observer
-from annulus.daemon.pools import Recorder, RecordingSetup
-from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.pools import Recorder, RecordingSetup
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared
+from annulus_pipe.vocabulary import Label
 
 
 class Told(Observer):

@@ -4,7 +4,7 @@ nobody was told. The same after any doubt at a ratio of 0 or 1. Fails when only 
 import pytest
 from bench_of_faults import PERIOD, Bench, Faults
 
-from annulus.vocabulary import Lamp
+from annulus_pipe.vocabulary import Lamp
 
 
 @pytest.mark.parametrize("frames", [0.3, 0.5, 0.7, -0.5])

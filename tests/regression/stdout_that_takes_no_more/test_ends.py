@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-COMMAND = [sys.executable, "-c", "from annulus.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
 
 
 @pytest.mark.deep(but=1)
@@ -32,6 +32,6 @@ def test_a_reader_that_is_gone_ends_it_without_a_word(arguments: list[str]) -> N
 @pytest.mark.deep(gate="tests/regression/stdout_that_takes_no_more/test_ends.py::test_a_full_disk_is_one_line")
 def test_closed_streams_and_a_full_log(tmp_path: Path) -> None:
     for redirect, status in ((">&-", 1), (">/dev/null 2>/dev/full", 0), (">/dev/null 2>&-", 0)):
-        line = f'"{sys.executable}" -c "from annulus.cli import main; main()" --version {redirect}'
+        line = f'"{sys.executable}" -c "from annulus_pipe.cli import main; main()" --version {redirect}'
         done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
         assert done.returncode == status and "internal error" not in done.stderr and "Traceback" not in done.stderr

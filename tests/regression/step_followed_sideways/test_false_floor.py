@@ -3,7 +3,7 @@ cells that no ring lit carried a radius (edb2eac). Fails without SIDEWAYS_DEG in
 
 import numpy as np
 
-from annulus.wall.shadow import between_levels
+from annulus_pipe.wall.shadow import between_levels
 
 
 def test_half_way_down_beside_a_plain_step_is_still_no_floor() -> None:

@@ -4,8 +4,8 @@ patch far longer than its bore, and the circle that was begun there ran away. Fa
 import numpy as np
 import pytest
 
-from annulus.wall import openings
-from annulus.wall.grid import Observations, Wall
+from annulus_pipe.wall import openings
+from annulus_pipe.wall.grid import Observations, Wall
 
 R, Z_MM, CLOCK_DEG = 76.2, 155.0, 30.0
 INNER_MM, OUTER_MM, STANDS_MM = 28.0, 38.0, 11.6

@@ -4,13 +4,13 @@ import math
 
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.numeric import compiling
-from annulus.reprocess.ahead import compile_all
-from annulus.reprocess.warmup import warmup_frame
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.numeric import compiling
+from annulus_pipe.reprocess.ahead import compile_all
+from annulus_pipe.reprocess.warmup import warmup_frame
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 
 def plane(ring_px: float = 84.0, middle: float = 176.0) -> Calibration:

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.stream.orphan import child
-from annulus.stream.pool_events import Died, PoolEvent
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared, WorkerKind, WorkerPool
+from annulus_pipe.stream.orphan import child
+from annulus_pipe.stream.pool_events import Died, PoolEvent
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
 
 HUNGRY = """
 import sys
-from annulus.stream.working import serve
+from annulus_pipe.stream.working import serve
 
 class Hungry:
     frame = close = idle = staticmethod(lambda *_: None)

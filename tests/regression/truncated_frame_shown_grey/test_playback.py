@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.capture.camera import grab
-from annulus.record.replay import ScanFolderCamera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import grab
+from annulus_pipe.record.replay import ScanFolderCamera
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_a_truncated_image_is_not_played(tmp_path: Path) -> None:

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 import zmq
 
-from annulus.daemon.control import ControlClient, ControlSocket
-from annulus.daemon.observer import Observers
-from annulus.daemon.operating import Operating
-from annulus.daemon.state import State
-from annulus.daemon.tuning import _trial
-from annulus.stream.access import Doorkeeper
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.control import ControlClient, ControlSocket
+from annulus_pipe.daemon.observer import Observers
+from annulus_pipe.daemon.operating import Operating
+from annulus_pipe.daemon.state import State
+from annulus_pipe.daemon.tuning import _trial
+from annulus_pipe.stream.access import Doorkeeper
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class Head:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.claims import claimed
-from annulus.daemon.config import HeadConfig, SocketConfig
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.claims import claimed
+from annulus_pipe.daemon.config import HeadConfig, SocketConfig
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def head(folder: Path, number: int) -> HeadConfig:
@@ -53,8 +53,9 @@ def test_a_link_to_what_another_has_is_the_same_and_a_file_is_for_all(tmp_path: 
 
 def test_a_daemon_that_was_killed_has_nothing_any_more(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from annulus.daemon.claims import claimed\n"
-        "from annulus.daemon.config import HeadConfig; from annulus.daemon.camera_config import CameraConfig\n"
+        "import os, sys; from pathlib import Path; from annulus_pipe.daemon.claims import claimed\n"
+        "from annulus_pipe.daemon.config import HeadConfig\n"
+        "from annulus_pipe.daemon.camera_config import CameraConfig\n"
         "with claimed(HeadConfig((CameraConfig(),), record_folder=Path(sys.argv[1]))): os.kill(os.getpid(), 9)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.record.scan import open_scan
-from annulus.record.video import import_video
-from annulus.rings.reconstructor import Reconstructor
-from annulus.wall import survey
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.video import import_video
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.wall import survey
 
 STORED, SQUARE, FRAMES = (352, 288), (396, 288), 8  # of pixels 9:8 wide
 PARENTS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd")

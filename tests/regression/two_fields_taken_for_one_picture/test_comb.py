@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.record.fields import combed
-from annulus.record.video import _square, import_video, read_chainage
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.fields import combed
+from annulus_pipe.record.video import _square, import_video, read_chainage
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def ring(off: float, thick: float = 1.1) -> np.ndarray:

@@ -10,13 +10,13 @@ import tty
 
 import pytest
 
-from annulus.link.port import Port
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link.port import Port
+from annulus_pipe.vocabulary import AnnulusError
 
 SECOND = """
 import sys
-from annulus.link.port import Port
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link.port import Port
+from annulus_pipe.vocabulary import AnnulusError
 try:
     Port(sys.argv[1])
 except AnnulusError as error:

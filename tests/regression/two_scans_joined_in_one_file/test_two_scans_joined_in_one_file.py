@@ -10,13 +10,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from annulus.record import recording as opening
-from annulus.record.clock import Clock
-from annulus.record.frames import from_json, to_json
-from annulus.record.parts import Part
-from annulus.record.recording import open_recording
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record import recording as opening
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.frames import from_json, to_json
+from annulus_pipe.record.parts import Part
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 
 Entry = tuple[Any, Any, Any]  # schema, channel, message
 SHAPE = 24, 32

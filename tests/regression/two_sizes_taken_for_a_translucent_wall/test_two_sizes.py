@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from drawn_heads import RADIUS, head, scan
 
-from annulus.geometry.drift import Drift
-from annulus.wall.offsets import observations, ring_offsets
-from annulus.wall.profile import Profile
-from annulus.wall.scale import find_scale, scale_findings
+from annulus_pipe.geometry.drift import Drift
+from annulus_pipe.wall.offsets import observations, ring_offsets
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.scale import find_scale, scale_findings
 
 
 def two_sizes(wider: float) -> list[Profile]:

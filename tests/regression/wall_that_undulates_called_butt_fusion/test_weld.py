@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, round_pipe, scan
 
-from annulus.wall import joints
-from annulus.wall.beads import measure_bead
-from annulus.wall.features import FeatureKind
-from annulus.wall.survey import Survey, survey
+from annulus_pipe.wall import joints
+from annulus_pipe.wall.beads import measure_bead
+from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wall.survey import Survey, survey
 
 STATIONS = [4.8 * i for i in range(25) if i % 5 != 4]
 AT_MM = 180.0

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, opening, round_pipe, scan
 
-from annulus.wall import joints, openings
-from annulus.wall.beads import measure_bead
-from annulus.wall.conformity import Criteria, judge
-from annulus.wall.features import FeatureKind
-from annulus.wall.openings import _fitted
-from annulus.wall.survey import Survey, survey
+from annulus_pipe.wall import joints, openings
+from annulus_pipe.wall.beads import measure_bead
+from annulus_pipe.wall.conformity import Criteria, judge
+from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wall.openings import _fitted
+from annulus_pipe.wall.survey import Survey, survey
 
 STATIONS = [4.8 * i for i in range(25) if i % 5 != 4]
 AT_MM = 180.0

@@ -4,7 +4,7 @@ an LED frame has less than 0.01 (cfd2ab4). Fails with that bound."""
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.photometry import Light, measure
+from annulus_pipe.capture.photometry import Light, measure
 
 H, W = 308, 416
 

@@ -7,9 +7,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from annulus.wall.indications import Limits, Scale
-from annulus.wall.unjudged import OF_HOLES, Unjudged, in_one
-from annulus.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, STEP, _compact, find_holes
+from annulus_pipe.wall.indications import Limits, Scale
+from annulus_pipe.wall.unjudged import OF_HOLES, Unjudged, in_one
+from annulus_pipe.wall.unseen import FILLED, ONE_LOOK_OF_RADIUS, STEP, _compact, find_holes
 
 CELL_MM, RADIUS_MM = (2.0, 1.33), 76.2
 SHAPE = 150, 360  # 300 mm of a 6-inch pipe

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import zmq
 
-from annulus.daemon import pools
-from annulus.daemon.account import Account
-from annulus.daemon.observer import Observer
-from annulus.daemon.pools import Pool
-from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import STARTS_MAX, Shared, WorkerKind
-from annulus.vocabulary import Label
+from annulus_pipe.daemon import pools
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.pools import Pool
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import STARTS_MAX, Shared, WorkerKind
+from annulus_pipe.vocabulary import Label
 
 QUICK = """
 import sys
-from annulus.stream.working import serve
+from annulus_pipe.stream.working import serve
 
 class Quick:
     frame = staticmethod(lambda header, image, extra: None)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.intrinsics import TargetObservation
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.intrinsics import TargetObservation
+from annulus_pipe.numeric.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.numeric.arrays import FloatArray
 from tests.scenes.calibrate.photographs import DrawnTarget, _rays, poses
 
 COLOURS = "RRGBGR"

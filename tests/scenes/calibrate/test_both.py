@@ -11,20 +11,20 @@ from photographs import DrawnTarget, corners, photograph, poses, read
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from annulus.calibrate.both import TargetPlacement, disagreement, pair_files, placement_from_dict
-from annulus.cli.calibrate import app
-from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import cropped, find_target
-from annulus.geometry.cone import Cone
-from annulus.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
-from annulus.geometry.origin import from_colours
-from annulus.geometry.pose import Pose
-from annulus.geometry.seen_by_both import Moment, Placed, place_second
-from annulus.record.calibration_file import load_sections, update_calibration
-from annulus.record.scan import read_image
-from annulus.rings.calibration.bundle import Solution
-from annulus.rings.calibration.observations import Placement
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.both import TargetPlacement, disagreement, pair_files, placement_from_dict
+from annulus_pipe.cli.calibrate import app
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.chessboard import cropped, find_target
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
+from annulus_pipe.geometry.origin import from_colours
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.geometry.seen_by_both import Moment, Placed, place_second
+from annulus_pipe.record.calibration_file import load_sections, update_calibration
+from annulus_pipe.record.scan import read_image
+from annulus_pipe.rings.calibration.bundle import Solution
+from annulus_pipe.rings.calibration.observations import Placement
+from annulus_pipe.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 FIRST = Camera("fisheye", 480, 360, 152.0, 151.0, 242.0, 178.0, (0.02, -0.008, 0.001, 0.0))

@@ -9,12 +9,12 @@ from photographs import DrawnTarget, photograph, poses
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_files, parse_target, save_camera
-from annulus.cli.calibrate import app
-from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import find_target
-from annulus.record.calibration_file import load_camera, update_calibration
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.camera import CameraCalibration, calibrate_camera, image_files, parse_target, save_camera
+from annulus_pipe.cli.calibrate import app
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.chessboard import find_target
+from annulus_pipe.record.calibration_file import load_camera, update_calibration
+from annulus_pipe.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 PINHOLE = Camera("pinhole", 480, 360, 400.0, 401.0, 245.0, 176.0, (-0.2, 0.05, 0.001, -0.0005, 0.0))

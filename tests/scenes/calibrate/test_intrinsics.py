@@ -9,10 +9,10 @@ import pytest
 from photographs import corners, read
 from scipy.spatial.transform import Rotation
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import find_target
-from annulus.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.chessboard import find_target
+from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
+from annulus_pipe.numeric.arrays import FloatArray
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 PINHOLE = Camera("pinhole", 640, 480, 530.0, 531.0, 325.0, 236.0, (-0.28, 0.08, 1e-3, -5e-4, 0.0))

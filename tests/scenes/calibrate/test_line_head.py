@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from line_heads import ONE_RING, PLANE, TWO_RINGS, head, picture
 
-from annulus.calibrate.pipe import LINES_REMARK, calibrate_pipe, save_pipe
-from annulus.geometry.calibration import camera_to_dict
-from annulus.geometry.pose import Pose
-from annulus.record.calibration_file import load_calibration
-from annulus.record.codec import to_bgr
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World
+from annulus_pipe.calibrate.pipe import LINES_REMARK, calibrate_pipe, save_pipe
+from annulus_pipe.geometry.calibration import camera_to_dict
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World
 
 LEANS = ((0.0, 8.0), (0.0, -8.0), (8.0, 0.0), (-8.0, 0.0), (6.0, 6.0), (-6.0, -6.0), (-6.0, 6.0), (6.0, -6.0))
 

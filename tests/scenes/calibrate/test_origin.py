@@ -8,9 +8,9 @@ import pytest
 from photographs import DrawnTarget, photograph, poses
 from scipy.spatial.transform import Rotation
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import TargetView, cropped, find_target
-from annulus.geometry.origin import from_colours, from_markers, read_markers
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.chessboard import TargetView, cropped, find_target
+from annulus_pipe.geometry.origin import from_colours, from_markers, read_markers
 
 CAMERA = Camera("pinhole", 640, 480, 530.0, 531.0, 325.0, 236.0, (-0.2, 0.05, 0.001, -0.0005, 0.0))
 

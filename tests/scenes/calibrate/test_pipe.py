@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from annulus.calibrate.pipe import calibrate_pipe
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.pipe import calibrate_pipe
+from annulus_pipe.vocabulary import AnnulusError
 
 CAMERA = {
     "format": "annulus-calibration/1",

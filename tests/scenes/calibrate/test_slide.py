@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli.pattern import app
-from annulus.record.calibration_file import load_calibration
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli.pattern import app
+from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.vocabulary import AnnulusError
 
 GIVEN = [
     "design",

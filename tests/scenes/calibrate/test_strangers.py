@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from photographs import DrawnTarget, corners, photograph, poses, read
 
-from annulus.calibrate.camera import calibrate_camera, image_files
-from annulus.calibrate.strangers import strangers
-from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import cropped, find_target
-from annulus.geometry.intrinsics import TargetObservation, fit_intrinsics
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.camera import calibrate_camera, image_files
+from annulus_pipe.calibrate.strangers import strangers
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.chessboard import cropped, find_target
+from annulus_pipe.geometry.intrinsics import TargetObservation, fit_intrinsics
+from annulus_pipe.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 PINHOLE = Camera("pinhole", 640, 480, 530.0, 531.0, 325.0, 236.0, (-0.28, 0.08, 1e-3, -5e-4, 0.0))

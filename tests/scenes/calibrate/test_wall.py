@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.calibrate.sample import sample
-from annulus.calibrate.wall import measure_wall
-from annulus.cli import app
-from annulus.geometry.translucency import slit_shift_mm
-from annulus.record.calibration_file import load_calibration, save_calibration
-from annulus.record.codec import to_bgr
-from annulus.record.scan import open_scan
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.scan import write_scan
-from annulus.twin.worlds import World, clean_world, translucent
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.sample import sample
+from annulus_pipe.calibrate.wall import measure_wall
+from annulus_pipe.cli import app
+from annulus_pipe.geometry.translucency import slit_shift_mm
+from annulus_pipe.record.calibration_file import load_calibration, save_calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.scan import write_scan
+from annulus_pipe.twin.worlds import World, clean_world, translucent
+from annulus_pipe.vocabulary import AnnulusError
 
 R = 76.2
 OPAQUE = clean_world(seed=5).scaled(832)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.fringe import pipe
-from annulus.numeric.arrays import FloatArray
-from annulus.record.codec import to_bgr
-from annulus.twin.render import Renderer
-from annulus.twin.scan import write_scan
-from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+from annulus_pipe.cli import app
+from annulus_pipe.fringe import pipe
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.scan import write_scan
+from annulus_pipe.twin.worlds import World, mirror_fringe_world, modules_world, series_world
 from tests import kept
 
 COARSE = "tests/scenes/fringe/test_models.py::test_model_c_measures_its_pipe_on_a_coarse_grid"

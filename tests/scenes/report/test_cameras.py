@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, round_pipe, scan
 
-from annulus.geometry.calibration import HeadCamera
-from annulus.report import Account, write
-from annulus.wall import Profile, survey
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.report import Account, write
+from annulus_pipe.wall import Profile, survey
 
 TWO = replace(CALIBRATION, others=(HeadCamera(4, CALIBRATION.camera),))
 

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus.job import JobSheet, Observation, Origin
-from annulus.numeric.rounding import MEASURE, said
-from annulus.report import Account, write
-from annulus.report.close_up import CIRCLE_PX, SWING_PX, across
-from annulus.report.marks import marks_of
-from annulus.untrusted import parse_toml
-from annulus.wall import LedFrame, Survey, survey
-from annulus.wall.conformity import Criteria, judge
-from annulus.wall.defects import Kind
-from annulus.wall.photograph import Shot, best_views, crop
-from annulus.wall.sections import cut
+from annulus_pipe.job import JobSheet, Observation, Origin
+from annulus_pipe.numeric.rounding import MEASURE, said
+from annulus_pipe.report import Account, write
+from annulus_pipe.report.close_up import CIRCLE_PX, SWING_PX, across
+from annulus_pipe.report.marks import marks_of
+from annulus_pipe.untrusted import parse_toml
+from annulus_pipe.wall import LedFrame, Survey, survey
+from annulus_pipe.wall.conformity import Criteria, judge
+from annulus_pipe.wall.defects import Kind
+from annulus_pipe.wall.photograph import Shot, best_views, crop
+from annulus_pipe.wall.sections import cut
 
 LIMITS = b'title = "<b>ours</b>"\n[[loss]]\nseverity = 4\ndepth_mm = 3\n[[bore]]\nseverity = 2\nsmallest_mm = 140\n'
 

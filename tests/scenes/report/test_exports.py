@@ -10,11 +10,11 @@ import pytest
 import trimesh
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus.export import FORMS, open_results
-from annulus.export import write as export
-from annulus.export.radii import ANGLES_DEG
-from annulus.report import Account, results, write
-from annulus.wall import Survey, survey
+from annulus_pipe.export import FORMS, open_results
+from annulus_pipe.export import write as export
+from annulus_pipe.export.radii import ANGLES_DEG
+from annulus_pipe.report import Account, results, write
+from annulus_pipe.wall import Survey, survey
 
 Made = tuple[Path, Survey]
 

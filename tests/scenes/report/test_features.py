@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, pocket, round_pipe, scan
 
-from annulus.report import Account, write
-from annulus.wall import Survey, survey
-from annulus.wall.defects import Defect, Kind
-from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.report import Account, write
+from annulus_pipe.wall import Survey, survey
+from annulus_pipe.wall.defects import Defect, Kind
+from annulus_pipe.wall.features import Feature, FeatureKind, Measure
 
 JOINT = Feature(
     FeatureKind.JOINT,

@@ -19,15 +19,15 @@ import pytest
 from browser import chromium, faults, opened
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus.report import Account, Paper, write, write_plate
-from annulus.report.joint_page import write_joint_page
-from annulus.report.pdf import to_pdf
-from annulus.vocabulary import Finding
-from annulus.wall import LedFrame, survey
-from annulus.wall.conformity import Criteria, judge
-from annulus.wall.defects import Defect, Kind
-from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.plate import Plate
+from annulus_pipe.report import Account, Paper, write, write_plate
+from annulus_pipe.report.joint_page import write_joint_page
+from annulus_pipe.report.pdf import to_pdf
+from annulus_pipe.vocabulary import Finding
+from annulus_pipe.wall import LedFrame, survey
+from annulus_pipe.wall.conformity import Criteria, judge
+from annulus_pipe.wall.defects import Defect, Kind
+from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.plate import Plate
 
 PAGES = ("damaged", "sound", "plate", "joint")
 WIDTHS = (1400, 1024, 390)
@@ -247,7 +247,8 @@ def test_a_system_without_fonts_writes_letters_all_the_same(pages: Path, tmp_pat
     empty.write_text(f"<fontconfig><dir>{tmp_path}</dir><cachedir>{tmp_path}</cachedir></fontconfig>")
     source, out = pages / "damaged" / "report.html", tmp_path / "report.pdf"
     program = (
-        "import sys, pathlib; from annulus.report.pdf import to_pdf; source, out = map(pathlib.Path, sys.argv[1:]);"
+        "import sys, pathlib; from annulus_pipe.report.pdf import to_pdf\n"
+        "source, out = map(pathlib.Path, sys.argv[1:]);"
         "out.write_bytes(to_pdf(source.read_text(encoding='utf-8')))"
     )
     environment = {**os.environ, "FONTCONFIG_FILE": str(empty)}

@@ -12,9 +12,9 @@ import pytest
 from plyfile import PlyData
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus.report import FILES, Account, prepare_folder, results, write
-from annulus.vocabulary import AnnulusError, Finding
-from annulus.wall import LedFrame, Profile, Survey, survey
+from annulus_pipe.report import FILES, Account, prepare_folder, results, write
+from annulus_pipe.vocabulary import AnnulusError, Finding
+from annulus_pipe.wall import LedFrame, Profile, Survey, survey
 
 COUNTS = {"projector": 40, "led": 2, "unknown": 1}
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from tiled_survey import tiled
 
-from annulus.numeric.thinning import farthest
-from annulus.report import figures
-from annulus.report.maps import ROWS_MAX, Stretch, calm, draw_shape, lay, mean_colour
-from annulus.report.marks import marks_of, outline
-from annulus.report.paper import stack
-from annulus.wall import LedFrame, Survey, survey
+from annulus_pipe.numeric.thinning import farthest
+from annulus_pipe.report import figures
+from annulus_pipe.report.maps import ROWS_MAX, Stretch, calm, draw_shape, lay, mean_colour
+from annulus_pipe.report.marks import marks_of, outline
+from annulus_pipe.report.paper import stack
+from annulus_pipe.wall import LedFrame, Survey, survey
 
 AXIS_BGR = (0x85, 0x78, 0x6B)
 

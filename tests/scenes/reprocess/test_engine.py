@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
-from annulus.reprocess import Job, Processes, in_process, measure, method_for, open_job, reprocess, survey_of
-from annulus.reprocess.engine import CHUNK
-from annulus.reprocess.job import Measured
-from annulus.stream.frames import FrameHeader
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import Feature, World, clean_world
-from annulus.vocabulary import Label
-from annulus.wall import Profile
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.reprocess import Job, Processes, in_process, measure, method_for, open_job, reprocess, survey_of
+from annulus_pipe.reprocess.engine import CHUNK
+from annulus_pipe.reprocess.job import Measured
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.vocabulary import Label
+from annulus_pipe.wall import Profile
 
 README = Path(__file__).parents[3] / "README.md"
 FRAMES = 24

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from drawn import Paint, calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings.colour import learn, stripes
-from annulus.rings.diagnosis import Trouble, diagnose, examine, exposure_findings
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.colour import learn, stripes
+from annulus_pipe.rings.diagnosis import Trouble, diagnose, examine, exposure_findings
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from line_heads import ONE_RING, PLANE, TWO_RINGS, head, picture, with_reflection
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.cone import Cone, cone_distance, intersect_cone
-from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.triangulate import meet_rings
-from annulus.twin.worlds import World
-from annulus.vocabulary import AnnulusError
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.cone import Cone, cone_distance, intersect_cone
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.rings.triangulate import meet_rings
+from annulus_pipe.twin.worlds import World
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.profile import Profile
 
 Z_MM = 40.0
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.geometry.camera import Camera
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.observations import Observations, observe
-from annulus.rings.polar import ring_pixels
-from annulus.twin.worlds import World, mirror_world
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.observations import Observations, observe
+from annulus_pipe.rings.polar import ring_pixels
+from annulus_pipe.twin.worlds import World, mirror_world
 
 FRAMES, DIRECTIONS = 8, 90
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from drawn import draw
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.pose import Pose
-from annulus.rings.pattern import Head, de_bruijn, design, preview, stripe_colours
-from annulus.rings.reconstructor import Reconstructor
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.pattern import Head, de_bruijn, design, preview, stripe_colours
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.vocabulary import AnnulusError
 
 CAMERA = Camera("pinhole", 832, 616, 235.0, 235.0, 415.5, 307.5)
 HEAD = Head(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)

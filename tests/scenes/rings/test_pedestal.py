@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from drawn import PIPE_MM, Paint, calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings import reconstructor
-from annulus.rings.pedestal import without_pedestal
-from annulus.rings.reconstructor import Reconstructor
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings import reconstructor
+from annulus_pipe.rings.pedestal import without_pedestal
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.wall.profile import Profile
 
 POSE = Pose(0.012, -0.01, 1.0, -1.5)
 WHITE, ORANGE = (1.0, 1.0, 1.0), (0.9, 0.45, 0.1)  # RGB that comes back

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from drawn import PIPE_MM, Paint, calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.vocabulary import AnnulusError
 
 POSE = Pose(np.radians(1.7), np.radians(-1.2), 2.0, -1.5)
 ELEVEN = {"colours": "RRGBRBBGGRGB", "theta_deg": tuple(np.linspace(37.0, 60.0, 11))}

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from drawn import PIPE_MM, Paint, calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.numeric.jit import middle, ranked
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.jit import middle, ranked
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 POSE = Pose(0.012, -0.01, 1.0, -1.5)
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from annulus.thermoacoustic.confinement import confinement
-from annulus.thermoacoustic.electromagnetics import (
+from annulus_pipe.thermoacoustic.confinement import confinement
+from annulus_pipe.thermoacoustic.electromagnetics import (
     OIL,
     Dielectric,
     attenuation,
@@ -17,7 +17,7 @@ from annulus.thermoacoustic.electromagnetics import (
     plane_wave,
     slab_loss,
 )
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.mark.parametrize("eps_r", [1.0, 3.0])

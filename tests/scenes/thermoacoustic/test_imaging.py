@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from annulus.thermoacoustic.agreement import disagreeing, search_sound_speed
-from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers
-from annulus.thermoacoustic.imaging import Region, back_projection, pixel_mm, time_reversal
-from annulus.thermoacoustic.sweep import Sweep, examine, gaps_deg, usable, without_coupling
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.thermoacoustic.agreement import disagreeing, search_sound_speed
+from annulus_pipe.thermoacoustic.field import Grid, Medium, Solver, receivers
+from annulus_pipe.thermoacoustic.imaging import Region, back_projection, pixel_mm, time_reversal
+from annulus_pipe.thermoacoustic.sweep import Sweep, examine, gaps_deg, usable, without_coupling
+from annulus_pipe.vocabulary import AnnulusError
 
 C, RADIUS = 1500.0, 12.0
 DISCS = ((0.0, 0.0, 8.0, 0.4), (-3.0, -2.0, 1.8, 0.6), (3.5, 1.5, 1.1, 0.6), (0.0, 4.5, 0.9, 0.4))

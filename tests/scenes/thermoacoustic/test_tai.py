@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.controller import CODES
-from annulus.record.acoustic import load_acoustic, save_acoustic
-from annulus.tai.decode import decode_record, detected_code, load_template, save_template
-from annulus.tai.image import ImageSettings, make_image
-from annulus.tai.simulate import Setup, simulate
-from annulus.thermoacoustic.codes import pattern
-from annulus.thermoacoustic.imaging import Region
-from annulus.thermoacoustic.phantoms import Disc
-from annulus.thermoacoustic.templates import design
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.controller import CODES
+from annulus_pipe.record.acoustic import load_acoustic, save_acoustic
+from annulus_pipe.tai.decode import decode_record, detected_code, load_template, save_template
+from annulus_pipe.tai.image import ImageSettings, make_image
+from annulus_pipe.tai.simulate import Setup, simulate
+from annulus_pipe.thermoacoustic.codes import pattern
+from annulus_pipe.thermoacoustic.imaging import Region
+from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.thermoacoustic.templates import design
+from annulus_pipe.vocabulary import AnnulusError
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
 SETUP = Setup(

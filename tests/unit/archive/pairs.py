@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from annulus.archive.wall_map import WallMap
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.archive.wall_map import WallMap
+from annulus_pipe.numeric.arrays import FloatArray
 
 FINE_MM = 1.0  # of the drawn texture, along; round it is a degree
 

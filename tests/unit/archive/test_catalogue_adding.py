@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from annulus.archive import catalogue_store
-from annulus.archive.catalogue import Added, Refused, add, checked, listed, results_of
-from annulus.archive.catalogue_packs import pack
-from annulus.archive.catalogue_query import open_catalogue
-from annulus.archive.catalogue_store import pack_folders, survey_folder, survey_ids
-from annulus.job import JobSheet
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive import catalogue_store
+from annulus_pipe.archive.catalogue import Added, Refused, add, checked, listed, results_of
+from annulus_pipe.archive.catalogue_packs import pack
+from annulus_pipe.archive.catalogue_query import open_catalogue
+from annulus_pipe.archive.catalogue_store import pack_folders, survey_folder, survey_ids
+from annulus_pipe.job import JobSheet
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 
 MAY = datetime(2026, 5, 4, 8)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.archive.catalogue import Added, add, listed
-from annulus.archive.catalogue_columns import JOINT_MEASURES, TABLES, VIEWS
-from annulus.archive.catalogue_packs import pack
-from annulus.archive.catalogue_query import Catalogue, open_catalogue
-from annulus.archive.catalogue_questions import QUESTIONS
-from annulus.archive.catalogue_store import pack_folders, survey_folder
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.catalogue import Added, add, listed
+from annulus_pipe.archive.catalogue_columns import JOINT_MEASURES, TABLES, VIEWS
+from annulus_pipe.archive.catalogue_packs import pack
+from annulus_pipe.archive.catalogue_query import Catalogue, open_catalogue
+from annulus_pipe.archive.catalogue_questions import QUESTIONS
+from annulus_pipe.archive.catalogue_store import pack_folders, survey_folder
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 
 MAY = datetime(2026, 5, 4, 8)

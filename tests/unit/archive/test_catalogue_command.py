@@ -10,11 +10,19 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from annulus.archive.catalogue_columns import DEFECTS, FEATURES, JOINT_MEASURES, STATIONS, SUPERSEDED, SURVEYS, VIEWS
-from annulus.archive.catalogue_questions import QUESTIONS
-from annulus.cli import app
-from annulus.extras import need
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.catalogue_columns import (
+    DEFECTS,
+    FEATURES,
+    JOINT_MEASURES,
+    STATIONS,
+    SUPERSEDED,
+    SURVEYS,
+    VIEWS,
+)
+from annulus_pipe.archive.catalogue_questions import QUESTIONS
+from annulus_pipe.cli import app
+from annulus_pipe.extras import need
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 from tools.manual.pages import DOCS
 

@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus.archive import catalogue_store
-from annulus.archive.catalogue_columns import STATIONS
-from annulus.archive.catalogue_pieces import find, session
-from annulus.archive.catalogue_store import read_back, survey_folder
-from annulus.archive.catalogue_survey import read_survey
+from annulus_pipe.archive import catalogue_store
+from annulus_pipe.archive.catalogue_columns import STATIONS
+from annulus_pipe.archive.catalogue_pieces import find, session
+from annulus_pipe.archive.catalogue_store import read_back, survey_folder
+from annulus_pipe.archive.catalogue_survey import read_survey
 from tools.bench.speed.catalogue import results
 
 MAY = datetime(2026, 5, 4, 8)

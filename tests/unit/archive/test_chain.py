@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.archive.chain import believed_states, row_costs
+from annulus_pipe.archive.chain import believed_states, row_costs
 
 ROWS, STATES, NEAR, FAR, FADE = 41, 31, 1e-6, 1e-3, 0.8
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.archive.comparison import Comparison, compare, compare_maps
-from annulus.archive.growth import Verdict
-from annulus.cli import app
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.comparison import Comparison, compare, compare_maps
+from annulus_pipe.archive.growth import Verdict
+from annulus_pipe.cli import app
+from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.archive.pairs import Pair, Scene, draw
 
 SHORT = Scene(length_mm=3000, slips_mm=(15.0,), grown=2, unchanged=2, new=1, gone=1, spots=80, zero_mm=-80)

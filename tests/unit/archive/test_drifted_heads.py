@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.archive.comparison import Comparison, compare_maps
-from annulus.archive.wall_map import WallMap
+from annulus_pipe.archive.comparison import Comparison, compare_maps
+from annulus_pipe.archive.wall_map import WallMap
 from tests.unit.archive.pairs import Scene, draw
 
 STILL = Scene(length_mm=3000, slips_mm=(15.0,), grown=0, unchanged=3, new=0, spots=80, zero_mm=-80)

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.archive.wall_map import read_map
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.wall_map import read_map
+from annulus_pipe.vocabulary import AnnulusError
 
 PLAIN: dict[str, Any] = {"deviation_um": np.zeros((40, 36), np.int16), "z_step_mm": 4.0, "radius_mm": 76.2}
 

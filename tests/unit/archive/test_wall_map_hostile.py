@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.archive.wall_map import CELLS_MAX, read_map
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.archive.wall_map import CELLS_MAX, read_map
+from annulus_pipe.vocabulary import AnnulusError
 
 ROWS, COLUMNS = 20, 24
 WHOLE: dict[str, Any] = {

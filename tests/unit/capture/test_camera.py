@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.camera import BGR8, HeldRequest, OneRequest, grab
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import BGR8, HeldRequest, OneRequest, grab
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class Lying(OneRequest):

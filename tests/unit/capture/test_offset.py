@@ -5,11 +5,11 @@ import random
 
 import pytest
 
-from annulus.capture.history import EdgeHistory
-from annulus.capture.offset import CHANCE, Offset, calibrate_offset
-from annulus.capture.photometry import Light, Photometry
-from annulus.capture.seen import FrameSeen
-from annulus.vocabulary import AnnulusError, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+from annulus_pipe.capture.history import EdgeHistory
+from annulus_pipe.capture.offset import CHANCE, Offset, calibrate_offset
+from annulus_pipe.capture.photometry import Light, Photometry
+from annulus_pipe.capture.seen import FrameSeen
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 MS, PERIOD = 1_000_000, 40_000_000
 LIGHTS = {Lamp.PROJECTOR: Light.PROJECTOR, Lamp.LED: Light.LED, Lamp.DARK: Light.DARK}

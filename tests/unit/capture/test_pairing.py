@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from annulus.capture.history import EdgeHistory
-from annulus.capture.offset import calibrate_offset
-from annulus.capture.pairing import Pairing
-from annulus.capture.photometry import Light, Photometry
-from annulus.capture.proof import Reason, State, Witness
-from annulus.capture.seen import FrameSeen
-from annulus.vocabulary import AnnulusError, CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.capture.history import EdgeHistory
+from annulus_pipe.capture.offset import calibrate_offset
+from annulus_pipe.capture.pairing import Pairing
+from annulus_pipe.capture.photometry import Light, Photometry
+from annulus_pipe.capture.proof import Reason, State, Witness
+from annulus_pipe.capture.seen import FrameSeen
+from annulus_pipe.vocabulary import AnnulusError, CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
 PERIOD = 40 * MS

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from annulus.capture.photometry import Light, measure
-from annulus.capture.proof import Witness
-from annulus.capture.witnesses import UNLIT_MIN, Pictures
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.capture.proof import Witness
+from annulus_pipe.capture.witnesses import UNLIT_MIN, Pictures
 
 H, W = 308, 416
 WALLS = {"white": (1.0, 1.0, 1.0), "yellow": (0.15, 0.8, 1.0), "brown": (0.45, 0.6, 0.75)}  # blue, green, red

@@ -12,9 +12,9 @@ import libcamera_stub
 import numpy as np
 import pytest
 
-from annulus.capture.camera import BAYER_RGGB8, BGR8, Camera, grab, plug
-from annulus.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, require_controls
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, Camera, grab, plug
+from annulus_pipe.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, require_controls
+from annulus_pipe.vocabulary import AnnulusError
 
 PACKAGE = Path(__file__).parents[3] / ".tools/picamera2"
 SIZE = (1664, 1232)
@@ -129,7 +129,7 @@ def test_a_host_held_up_gets_every_frame_the_driver_had_and_a_hole_for_what_it_h
 def test_a_silent_sensor_ends_a_wait_and_neither_stop_nor_start_hangs(
     sensor: libcamera_stub.Sensor, theirs: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("annulus.capture.picamera.SILENT_S", 0.05)
+    monkeypatch.setattr("annulus_pipe.capture.picamera.SILENT_S", 0.05)
     camera = configured(theirs)
     camera.start()
     with pytest.raises(TimeoutError, match="no frame"):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.capture.pictures import PIXELS_MAX, SCANS_MAX, decode
+from annulus_pipe.capture.pictures import PIXELS_MAX, SCANS_MAX, decode
 
 H, W = 18, 26
 PICTURE = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (H, W, 3), dtype=np.uint8), (0, 0), 2)

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.capture import videodev
-from annulus.capture.pixels import ENCODINGS_OF, Layout
+from annulus_pipe.capture import videodev
+from annulus_pipe.capture.pixels import ENCODINGS_OF, Layout
 
 W, H = 24, 16
 RNG = np.random.default_rng(10)

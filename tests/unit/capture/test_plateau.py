@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.capture.plateau import Reading, confirmed, deviations, find, shares
-from annulus.capture.timing import FrameTiming
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.plateau import Reading, confirmed, deviations, find, shares
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.vocabulary import AnnulusError
 
 HEIGHT, BANDS = 1232, 64
 TOLD = FrameTiming(25.0, 38_000.0, 25_000.0)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from annulus.capture.pairing import Pairing
-from annulus.capture.proof import CONTRADICTIONS, SUSPICIONS, TRANSITIONS, News, Reason, State, next_state
+from annulus_pipe.capture.pairing import Pairing
+from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, TRANSITIONS, News, Reason, State, next_state
 
 
 @pytest.mark.parametrize("news", sorted(CONTRADICTIONS | SUSPICIONS))

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.camera import BGR8, MONO8, grab, plug
-from annulus.capture.remote import RemoteCamera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import BGR8, MONO8, grab, plug
+from annulus_pipe.capture.remote import RemoteCamera
+from annulus_pipe.vocabulary import AnnulusError
 
 HELLO = {"width": 8, "height": 4, "encoding": MONO8, "timing": {"fps": 25.0, "exposure_us": 38e3, "readout_us": 28e3}}
 

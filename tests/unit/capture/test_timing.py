@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.capture.timing import FrameTiming
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_the_window_at_25_fps_is_2_to_12_ms() -> None:

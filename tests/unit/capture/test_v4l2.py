@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture import v4l2, videodev
-from annulus.capture.camera import grab
-from annulus.capture.v4l2 import V4L2Camera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture import v4l2, videodev
+from annulus_pipe.capture.camera import grab
+from annulus_pipe.capture.v4l2 import V4L2Camera
+from annulus_pipe.vocabulary import AnnulusError
 
 W, H = 64, 48
 PAGE = 4096

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from annulus.console.program import Program
-from annulus.console.serving import prepared
+from annulus_pipe.console.program import Program
+from annulus_pipe.console.serving import prepared
 
 ORIGIN = "http://127.0.0.1:8600"
 

@@ -8,9 +8,9 @@ import pytest
 from browsing import ORIGIN, Browser, running
 from fake_daemon import FakeDaemon
 
-from annulus.console.access import Password
-from annulus.console.program import Daemon, Door, Program
-from annulus.console.web import application
+from annulus_pipe.console.access import Password
+from annulus_pipe.console.program import Daemon, Door, Program
+from annulus_pipe.console.web import application
 
 with warnings.catch_warnings():  # it would rather have httpx2
     warnings.simplefilter("ignore")

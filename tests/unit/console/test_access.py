@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.console.access import (
+from annulus_pipe.console.access import (
     CONFIRM_S,
     IDLE_S,
     SESSIONS_MAX,
@@ -23,7 +23,7 @@ from annulus.console.access import (
     named,
     split_host,
 )
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_a_password_is_known_by_its_hash_only(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from browsing import ORIGIN, Browser
 from fake_daemon import FakeDaemon
 from starlette.websockets import WebSocketDisconnect
 
-from annulus.console import gate, web
-from annulus.console.gate import FILES_POLICY, POLICY
+from annulus_pipe.console import gate, web
+from annulus_pipe.console.gate import FILES_POLICY, POLICY
 
 PATHS = [
     "/static/../web.py",

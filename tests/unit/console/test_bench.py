@@ -13,12 +13,12 @@ import pytest
 from starlette.applications import Starlette
 from starlette.testclient import TestClient
 
-from annulus.capture.timing import FrameTiming
-from annulus.console.answers import Refusal, refused
-from annulus.console.bench import burst_arguments, frame_timing, job_errors, job_fields, routes
-from annulus.console.light import light
-from annulus.job import WORDS
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.console.answers import Refusal, refused
+from annulus_pipe.console.bench import burst_arguments, frame_timing, job_errors, job_fields, routes
+from annulus_pipe.console.light import light
+from annulus_pipe.job import WORDS
+from annulus_pipe.vocabulary import AnnulusError
 
 MODE = {"fps": 25.0, "exposure_us": 38000.0, "readout_us": 28000.0}
 BURST = {"code": "101", "chip_us": 0.5, "repeat": 3, "period_us": 1000.0, "trigger_offset_us": -2.0}
@@ -124,7 +124,7 @@ def test_nothing_but_a_code_and_numbers_reaches_the_child(wrong: dict[str, Any])
 
 
 def test_the_real_one_answers() -> None:
-    from annulus.console.bench import _RUN, _show
+    from annulus_pipe.console.bench import _RUN, _show
 
     drawn, why = asyncio.run(_show(_RUN, burst_arguments({**BURST, "code": "mpsl25-stuffed"})))
     assert drawn is not None and drawn["ok"] and drawn["chips"] == 50 and why == ""

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.console.cloud import Cloud
+from annulus_pipe.console.cloud import Cloud
 
 GREY = np.full((3000, 3), 128, np.uint8)
 

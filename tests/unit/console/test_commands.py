@@ -11,13 +11,13 @@ import zmq
 from browsing import Browser, status
 from fake_daemon import FakeDaemon
 
-from annulus.console import commands as commands_module
-from annulus.console import program as program_module
-from annulus.console import wire
-from annulus.console.answers import Refusal
-from annulus.console.commands import AT_ONCE, Commands, Lease
-from annulus.console.program import Program
-from annulus.stream.access import ClientKeys
+from annulus_pipe.console import commands as commands_module
+from annulus_pipe.console import program as program_module
+from annulus_pipe.console import wire
+from annulus_pipe.console.answers import Refusal
+from annulus_pipe.console.commands import AT_ONCE, Commands, Lease
+from annulus_pipe.console.program import Program
+from annulus_pipe.stream.access import ClientKeys
 
 ME, OTHER = {"id": "me", "name": "J. Doe"}, {"id": "other", "name": "A. N. Other"}
 

@@ -11,9 +11,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from websockets.sync.client import ClientConnection, connect
 
-from annulus.console.feed import Feed
-from annulus.console.foxglove import Foxglove
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console.feed import Feed
+from annulus_pipe.console.foxglove import Foxglove
+from annulus_pipe.vocabulary import AnnulusError
 
 pytest.importorskip("foxglove")
 

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from annulus.console import wire
-from annulus.console.hub import BACKLOG_MAX, WANTS, Hub, Viewer
+from annulus_pipe.console import wire
+from annulus_pipe.console.hub import BACKLOG_MAX, WANTS, Hub, Viewer
 
 
 def taken(viewer: Viewer) -> list[bytes]:

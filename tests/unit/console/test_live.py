@@ -13,13 +13,13 @@ from fake_daemon import RADIUS_MM, profile, wall_rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.console import feed, wire
-from annulus.console.feed import Feed
-from annulus.console.hub import Hub, Viewer
-from annulus.console.live import POINTS_MAX, Live
-from annulus.numeric.palette import deviation_table
-from annulus.report.paper import DEVIATION
-from annulus.wall import profile as wall_profile
+from annulus_pipe.console import feed, wire
+from annulus_pipe.console.feed import Feed
+from annulus_pipe.console.hub import Hub, Viewer
+from annulus_pipe.console.live import POINTS_MAX, Live
+from annulus_pipe.numeric.palette import deviation_table
+from annulus_pipe.report.paper import DEVIATION
+from annulus_pipe.wall import profile as wall_profile
 
 
 class Head:

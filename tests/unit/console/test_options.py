@@ -15,11 +15,11 @@ from browsing import running
 from fake_daemon import FakeDaemon
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.console import serving
-from annulus.console.access import Password
-from annulus.console.program import Daemon, Door, Program
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.console import serving
+from annulus_pipe.console.access import Password
+from annulus_pipe.console.program import Daemon, Door, Program
+from annulus_pipe.vocabulary import AnnulusError
 
 DAEMON = "tcp://127.0.0.1:5601,tcp://127.0.0.1:5602"
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-import annulus.console
-from annulus.numeric import rounding
-from annulus.numeric.rounding import Quantity
+import annulus_pipe.console
+from annulus_pipe.numeric import rounding
+from annulus_pipe.numeric.rounding import Quantity
 
-STATIC = Path(annulus.console.__file__).with_name("static")
+STATIC = Path(annulus_pipe.console.__file__).with_name("static")
 OWN = sorted(path for path in STATIC.rglob("*") if path.is_file() and "vendor" not in path.parts)
 MODULES = [path for path in OWN if path.suffix == ".js"]
 QUANTITIES = {

@@ -14,13 +14,13 @@ from fake_daemon import FakeDaemon
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from annulus.console import program as program_module
-from annulus.console import wire
-from annulus.console.feed import LOST_S
-from annulus.console.hub import BACKLOG_MAX
-from annulus.console.program import Daemon, Door, Program
-from annulus.console.serving import CONNECTIONS_MAX
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console import program as program_module
+from annulus_pipe.console import wire
+from annulus_pipe.console.feed import LOST_S
+from annulus_pipe.console.hub import BACKLOG_MAX
+from annulus_pipe.console.program import Daemon, Door, Program
+from annulus_pipe.console.serving import CONNECTIONS_MAX
+from annulus_pipe.vocabulary import AnnulusError
 
 PATIENCE_S = 30.0  # for what will come, however little of the machine we get
 STALL_S = 0.1  # a machine that stood still for longer keeps no promise in seconds
@@ -120,7 +120,7 @@ def test_one_that_never_reads_is_cut_off_and_costs_the_others_nothing(
 def test_a_slow_one_is_told_what_it_missed_and_the_cloud_anew(
     served: tuple[str, Program], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from annulus.console import hub
+    from annulus_pipe.console import hub
 
     monkeypatch.setattr(hub, "BACKLOG_MAX", 200_000)
     address, program = served
@@ -149,7 +149,7 @@ def is_open(line: socket.socket) -> bool:
 def test_a_thousand_connections_are_bounded_and_the_page_is_there_after(
     served: tuple[str, Program], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from annulus.console import serving
+    from annulus_pipe.console import serving
 
     monkeypatch.setattr(serving, "REQUEST_S", 300.0)  # none of them is closed because it says nothing
     address, program = served
@@ -293,7 +293,7 @@ def test_a_daemon_that_goes_and_comes_back_is_another(served: tuple[str, Program
 
 
 def test_an_address_that_is_taken_is_said_in_a_line(served: tuple[str, Program]) -> None:
-    from annulus.console.serving import _listening
+    from annulus_pipe.console.serving import _listening
 
     port = int(served[0].split(":")[1])
     with pytest.raises(AnnulusError, match=r"cannot listen at 127\.0\.0\.1:"):

@@ -17,15 +17,15 @@ import pytest
 from starlette.applications import Starlette
 from starlette.testclient import TestClient
 
-from annulus.console import shelf as room
-from annulus.console.answers import refused
-from annulus.console.shelf import Shelf
-from annulus.console.surveys import routes
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec
-from annulus.record.parts import Part, part_path
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console import shelf as room
+from annulus_pipe.console.answers import refused
+from annulus_pipe.console.shelf import Shelf
+from annulus_pipe.console.surveys import routes
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.parts import Part, part_path
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 
 CHILD = """
 import json, pathlib, subprocess, sys, time

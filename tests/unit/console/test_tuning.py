@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from browsing import Browser, status, wait_for
 
-from annulus.console import program as room
-from annulus.console.program import Program
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.console import program as room
+from annulus_pipe.console.program import Program
+from annulus_pipe.vocabulary import AnnulusError
 
 STATUS = 1  # the kind of a message
 
@@ -22,7 +22,7 @@ class Driver:
         self.go, self.error, self.asked = False, "", []
 
     def tune(self, client: Any, publish: str, lamp: str, *, keys: Any, progress: Any, cancelled: Any) -> Any:
-        from annulus.daemon.tuning import Cancelled
+        from annulus_pipe.daemon.tuning import Cancelled
 
         self.asked.append((client.address, publish, lamp, client._who.name))
         progress("waiting for frames", 0, 10)
@@ -40,7 +40,7 @@ class Driver:
 @pytest.fixture
 def driver(monkeypatch: pytest.MonkeyPatch) -> Driver:
     driver = Driver()
-    monkeypatch.setattr("annulus.daemon.tuning.tune", driver.tune)
+    monkeypatch.setattr("annulus_pipe.daemon.tuning.tune", driver.tune)
     return driver
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from annulus.console import wire
+from annulus_pipe.console import wire
 
 README = (Path(wire.__file__).parent / "README.md").read_text(encoding="utf-8")
 U32 = st.integers(0, 2**32 - 1)

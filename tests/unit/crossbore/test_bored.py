@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from annulus.crossbore.bored import Bored, bored, changes, source_cases
-from annulus.crossbore.field import AIR, WATER, Section
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.crossbore.bored import Bored, bored, changes, source_cases
+from annulus_pipe.crossbore.field import AIR, WATER, Section
+from annulus_pipe.numeric.arrays import FloatArray
 
 pytestmark = pytest.mark.deep(
     gate="tests/unit/crossbore/test_detect.py::test_water_is_told_in_dry_soil_or_by_its_loss_and_where_it_cannot_be_that_is_said"

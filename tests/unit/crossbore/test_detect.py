@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.crossbore import Account, Indication, Kind, Log, detect, on_grid
-from annulus.record.bore_log import read_bore_log
-from annulus.twin.capacitance import Bore, Drawn, Ground, log, some_ground, write
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.crossbore import Account, Indication, Kind, Log, detect, on_grid
+from annulus_pipe.record.bore_log import read_bore_log
+from annulus_pipe.twin.capacitance import Bore, Drawn, Ground, log, some_ground, write
+from annulus_pipe.vocabulary import AnnulusError
 
 PLAIN = Ground(6000.0)
 

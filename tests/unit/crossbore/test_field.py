@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.crossbore.elements import EPS0_PF_PER_MM, Field, graded, grid_of, permittivity, solve
-from annulus.crossbore.field import AIR, SOIL, WATER, Along, Bore, Head, Section, along, sectors
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.crossbore.elements import EPS0_PF_PER_MM, Field, graded, grid_of, permittivity, solve
+from annulus_pipe.crossbore.field import AIR, SOIL, WATER, Along, Bore, Head, Section, along, sectors
+from annulus_pipe.vocabulary import AnnulusError
 
 WALL, WET = 2.25, permittivity(20.0, 0.01)
 INNER, MIDDLE, OUTER = 10.0, 14.0, 20.0

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.crossbore import Indication, Kind, Passage, detect, likely, on_grid
-from annulus.crossbore.grid import Log
-from annulus.crossbore.odds import COUNTED, odds
-from annulus.twin.capacitance import Bore, Drawn, Ground, log
+from annulus_pipe.crossbore import Indication, Kind, Passage, detect, likely, on_grid
+from annulus_pipe.crossbore.grid import Log
+from annulus_pipe.crossbore.odds import COUNTED, odds
+from annulus_pipe.twin.capacitance import Bore, Drawn, Ground, log
 
 GROUND = Ground(6000.0, bores=(Bore(3000.0, 101.0, 101.0, 20.0),))
 
@@ -109,7 +109,7 @@ def test_a_joint_that_the_rings_saw_explains_what_is_alike_all_round() -> None:
     """In soil so dry that a coupling takes off as much as air would, by a head that was told of another pipe's."""
     ground = Ground(6000.0, soils=(4.0,), couplings_mm=(3000.0,))
     grid = on_grid(log(ground, 3).rows())
-    from annulus.crossbore import Head
+    from annulus_pipe.crossbore import Head
 
     strange = Head(coupling_ff=250.0)  # of another pipe
     assert [one.kind for one in detect(grid, strange).indications] != [Kind.COUPLING]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from annulus.daemon.account import LOSSES, Account
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.account import LOSSES, Account
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import Label
 
 
 def header(label: Label, reason: str = "") -> FrameHeader:
@@ -51,6 +51,6 @@ def test_a_loss_nobody_has_heard_of_is_refused() -> None:
 
 
 def test_every_loss_is_in_the_readme() -> None:
-    readme = (Path(__file__).parents[3] / "host/annulus/daemon/README.md").read_text()
+    readme = (Path(__file__).parents[3] / "host/annulus_pipe/daemon/README.md").read_text()
     for kind, what in LOSSES.items():
         assert f"| `{kind}` | {what} |" in readme, kind

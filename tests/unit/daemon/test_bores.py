@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from annulus.daemon.bores import PAST_MM, Bores
-from annulus.daemon.config import SectorsConfig
-from annulus.daemon.observer import Observer, Observers
-from annulus.daemon.state import State
-from annulus.sensors.sample import Sample
-from annulus.twin.capacitance import Bore, Drawn, Ground, log
+from annulus_pipe.daemon.bores import PAST_MM, Bores
+from annulus_pipe.daemon.config import SectorsConfig
+from annulus_pipe.daemon.observer import Observer, Observers
+from annulus_pipe.daemon.state import State
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.capacitance import Bore, Drawn, Ground, log
 
 GROUND = Ground(9000.0, bores=(Bore(3000.0, 101.0), Bore(6000.0, 76.0, 76.0, 200.0), Bore(8300.0, 101.0)))
 
@@ -84,7 +84,7 @@ def test_what_goes_wrong_costs_bores_and_is_said_once(monkeypatch: pytest.Monkey
     def broken(*_: object) -> None:
         raise ZeroDivisionError("at last")
 
-    monkeypatch.setattr("annulus.daemon.bores.on_grid", broken)
+    monkeypatch.setattr("annulus_pipe.daemon.bores.on_grid", broken)
     listener = Told()
     pulled(Bores(SectorsConfig(), Observers([listener])), log(Ground(6000.0), 2), listener)
     assert listener.texts == ["cross bores cannot be told: ZeroDivisionError: at last"]

@@ -2,7 +2,14 @@
 
 from itertools import pairwise
 
-from annulus.daemon.camera_state import RETRY_FIRST_S, RETRY_LAST_S, TRANSITIONS, CameraEvent, CameraState, CameraWatch
+from annulus_pipe.daemon.camera_state import (
+    RETRY_FIRST_S,
+    RETRY_LAST_S,
+    TRANSITIONS,
+    CameraEvent,
+    CameraState,
+    CameraWatch,
+)
 
 
 def test_every_state_can_be_come_to_and_closed() -> None:

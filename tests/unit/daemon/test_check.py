@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.capture.camera import Camera, CapturedFrame, grab
-from annulus.cli import main
-from annulus.controller import PIN_INTERLOCK_ANTIVALENT
-from annulus.daemon import check, disk, priority
-from annulus.daemon.check import check_head
-from annulus.link import operate
-from annulus.testing.heads import SimulatedHead
+from annulus_pipe.capture.camera import Camera, CapturedFrame, grab
+from annulus_pipe.cli import main
+from annulus_pipe.controller import PIN_INTERLOCK_ANTIVALENT
+from annulus_pipe.daemon import check, disk, priority
+from annulus_pipe.daemon.check import check_head
+from annulus_pipe.link import operate
+from annulus_pipe.testing.heads import SimulatedHead
 
 HEAD = """
 [camera]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from annulus.daemon.command import COMMAND_S, Command, Operator
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.command import COMMAND_S, Command, Operator
+from annulus_pipe.vocabulary import AnnulusError
 
 ANNA, BEN = Operator("a", "Anna"), Operator("b", "Ben")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.controller import HOST_TIMEOUT_DEFAULT_MS
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import (
+from annulus_pipe.controller import HOST_TIMEOUT_DEFAULT_MS
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.config import (
     HOST_TIMEOUT_LEAST_MS,
     LogConfig,
     RecordConfig,
@@ -16,11 +16,11 @@ from annulus.daemon.config import (
     SocketConfig,
     load_config,
 )
-from annulus.daemon.controller_line import interlock_for, pins_for, stage_of
-from annulus.link.head import PING_NS
-from annulus.link.messages import Interlock, InterlockFlag
-from annulus.link.pins import AS_WIRED, pins_of
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.controller_line import interlock_for, pins_for, stage_of
+from annulus_pipe.link.head import PING_NS
+from annulus_pipe.link.messages import Interlock, InterlockFlag
+from annulus_pipe.link.pins import AS_WIRED, pins_of
+from annulus_pipe.vocabulary import AnnulusError
 
 CALIBRATION = {
     "format": "annulus-calibration/1",
@@ -53,7 +53,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
-    readme = Path(__file__).parents[3] / "host/annulus/daemon/README.md"
+    readme = Path(__file__).parents[3] / "host/annulus_pipe/daemon/README.md"
     example = readme.read_text().split("```toml\n")[1].split("```")[0]
     secret = zmq.curve_keypair()[1].decode()
     (tmp_path / "publish.key").write_text(secret + "\n")

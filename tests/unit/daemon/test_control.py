@@ -9,7 +9,7 @@ import msgpack
 import pytest
 import zmq
 
-from annulus.daemon.control import (
+from annulus_pipe.daemon.control import (
     CARRIED_MAX,
     PHOTO_MAX,
     REQUEST_MAX,
@@ -20,10 +20,10 @@ from annulus.daemon.control import (
     Do,
     Request,
 )
-from annulus.daemon.state import State
-from annulus.job import JobSheet
-from annulus.stream.access import Doorkeeper, Keys
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.state import State
+from annulus_pipe.job import JobSheet
+from annulus_pipe.stream.access import Doorkeeper, Keys
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class Daemon:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from annulus.daemon.config import RecordConfig
-from annulus.daemon.disk import GB, MB, MINUTES, Asker, Forecast, require_room, require_space, short_of
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.config import RecordConfig
+from annulus_pipe.daemon.disk import GB, MB, MINUTES, Asker, Forecast, require_room, require_space, short_of
+from annulus_pipe.vocabulary import AnnulusError
 
 RATE = 50 * MB
 
@@ -88,7 +88,7 @@ def test_a_disk_that_hangs_hangs_nobody_else(monkeypatch: pytest.MonkeyPatch, tm
     assert asker.latest() is None and not asker.hangs
     with pytest.raises(AnnulusError, match="does not say what is free"):
         asker.free(0.0)
-    monkeypatch.setattr("annulus.daemon.disk.HANGS_S", -1.0)
+    monkeypatch.setattr("annulus_pipe.daemon.disk.HANGS_S", -1.0)
     assert asker.latest() is None and asker.hangs
     asker.close()
     let_go.set()

@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from annulus.daemon.flashes import Flashes, Gathered
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
+from annulus_pipe.daemon.flashes import Flashes, Gathered
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 
 PERIOD_NS = 40_000_000
 PATIENCE_NS = 6 * PERIOD_NS

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from annulus.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
+from annulus_pipe.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
 
 
 class Head:

@@ -10,19 +10,19 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from annulus.capture.camera import EndOfFrames, HeldRequest
-from annulus.daemon import camera, camera_state
-from annulus.daemon.account import Account
-from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.camera_feed import CameraFeed
-from annulus.daemon.camera_state import CameraState
-from annulus.daemon.intake import InSlot, Intake
-from annulus.daemon.observer import Observer
-from annulus.labelling.labelling import CameraMode, Labelling
-from annulus.labelling.navigation import Navigation
-from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import EndOfFrames, HeldRequest
+from annulus_pipe.daemon import camera, camera_state
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.camera_config import CameraConfig
+from annulus_pipe.daemon.camera_feed import CameraFeed
+from annulus_pipe.daemon.camera_state import CameraState
+from annulus_pipe.daemon.intake import InSlot, Intake
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.labelling.labelling import CameraMode, Labelling
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.vocabulary import AnnulusError
 
 PERIOD = 20_000_000
 AHEAD = 3_600_000_000_000
@@ -113,7 +113,7 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_its_process_imports_no_method_and_is_up_soon() -> None:
-    code = "import sys, annulus.daemon.camera; print(*{'numba', 'scipy', 'annulus.rings'} & set(sys.modules))"
+    code = "import sys, annulus_pipe.daemon.camera; print(*{'numba', 'scipy', 'annulus_pipe.rings'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == []
 
 

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from annulus.daemon.interrupt import Interrupt
+from annulus_pipe.daemon.interrupt import Interrupt
 
 
 def press(number: int = signal.SIGINT) -> None:

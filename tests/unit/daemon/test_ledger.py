@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus.daemon.account import LOSSES, Account
-from annulus.daemon.ledger import AFTER, BEFORE, LIVE, NO_FRAMES, Ledger, Status, findings
+from annulus_pipe.daemon.account import LOSSES, Account
+from annulus_pipe.daemon.ledger import AFTER, BEFORE, LIVE, NO_FRAMES, Ledger, Status, findings
 
 
 def ledger(**changes: object) -> Ledger:
@@ -58,5 +58,5 @@ def test_a_file_that_is_gone_takes_its_frames_along() -> None:
 
 @pytest.mark.parametrize("status", Status)
 def test_every_status_is_in_the_readme(status: Status) -> None:
-    readme = (Path(__file__).parents[3] / "host/annulus/daemon/README.md").read_text()
+    readme = (Path(__file__).parents[3] / "host/annulus_pipe/daemon/README.md").read_text()
     assert f"| {status.value} | " in readme

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.daemon.live_wall import COLUMNS, RECENT_ROWS, UNSEEN, WHOLE_ROWS, Grid, LiveWall, medians
-from annulus.geometry.pose import Pose
-from annulus.twin.worlds import clean_world
-from annulus.wall.profile import Profile
+from annulus_pipe.daemon.live_wall import COLUMNS, RECENT_ROWS, UNSEEN, WHOLE_ROWS, Grid, LiveWall, medians
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.twin.worlds import clean_world
+from annulus_pipe.wall.profile import Profile
 
 RADIUS_MM, RINGS = 76.2, 5
 AHEAD_MM = (420.0, 260.0, 190.0, 150.0, 120.0)  # of the rings, from the head

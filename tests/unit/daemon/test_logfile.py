@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from annulus.daemon import logfile
-from annulus.daemon.config import LogConfig
-from annulus.daemon.health import Health, Word
-from annulus.daemon.logfile import LogFile
-from annulus.daemon.state import State
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon import logfile
+from annulus_pipe.daemon.config import LogConfig
+from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.logfile import LogFile
+from annulus_pipe.daemon.state import State
+from annulus_pipe.vocabulary import AnnulusError
 
 LINE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z (INFO|WARNING|ERROR) \S+ .+")
 

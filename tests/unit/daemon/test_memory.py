@@ -9,10 +9,10 @@ from typing import Any, cast
 import pytest
 from faulty_head import Head
 
-from annulus.daemon.account import Account
-from annulus.daemon.config import HeadConfig
-from annulus.daemon.evidence import Evidence
-from annulus.job import JobSheet
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import HeadConfig
+from annulus_pipe.daemon.evidence import Evidence
+from annulus_pipe.job import JobSheet
 
 KEPT_MAX = 40_000  # bytes, of which 20 000 come and go; a header kept of each of 1600 would be 500 000, a number 53 000
 

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.daemon.pictures import BANDS, SUBPIXELS, preview, row_light, rows, slits
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray, Image
-from annulus.rings.reconstructor import Reconstructor
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.pictures import BANDS, SUBPIXELS, preview, row_light, rows, slits
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray, Image
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import Label
 from tests.unit.rings.drawn import calibration, draw
 
 REACH_PX = 9  # of a look across a slit that is 8 px wide

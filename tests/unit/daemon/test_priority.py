@@ -7,8 +7,8 @@ import time
 import pytest
 import zmq
 
-from annulus.daemon import priority
-from annulus.daemon.priority import Allowance, is_realtime, prompt, raise_priority, share_priority
+from annulus_pipe.daemon import priority
+from annulus_pipe.daemon.priority import Allowance, is_realtime, prompt, raise_priority, share_priority
 
 
 def in_a_thread(work: object) -> list[object]:

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import zmq
 
-from annulus.daemon.account import Account
-from annulus.daemon.config import SocketConfig
-from annulus.daemon.observer import Observer
-from annulus.daemon.publishing import PUBLISHER_SHARE, Publishing
-from annulus.stream import workers
-from annulus.stream.frames import FrameHeader
-from annulus.stream.publish import parse
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import SocketConfig
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.publishing import PUBLISHER_SHARE, Publishing
+from annulus_pipe.stream import workers
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.publish import parse
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared
+from annulus_pipe.vocabulary import Label
 from tests.unit.daemon.test_live_wall import CALIBRATION, profile
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.daemon import recorder
-from annulus.daemon.recorder import RecorderJob
-from annulus.record.clock import Clock
-from annulus.record.recording import open_recording
-from annulus.record.rotation import Bounds
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.daemon import recorder
+from annulus_pipe.daemon.recorder import RecorderJob
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.rotation import Bounds
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 IMAGE = np.zeros((60, 80), np.uint8)
 
@@ -37,7 +37,7 @@ def begin(folder: Path) -> RecorderJob:
 
 
 def test_it_imports_neither_opencv_nor_numba() -> None:
-    code = "import sys, annulus.daemon.recorder; print(*{'cv2', 'numba', 'scipy'} & set(sys.modules))"
+    code = "import sys, annulus_pipe.daemon.recorder; print(*{'cv2', 'numba', 'scipy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 

@@ -2,7 +2,7 @@
 
 import random
 
-from annulus.daemon.reorder import ReorderBuffer
+from annulus_pipe.daemon.reorder import ReorderBuffer
 
 
 def test_whatever_the_order_of_answers_they_come_out_in_the_order_of_frames() -> None:

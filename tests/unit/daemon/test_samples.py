@@ -4,17 +4,17 @@ import errno
 
 import pytest
 
-from annulus.daemon import samples
-from annulus.daemon.account import Account
-from annulus.daemon.config import SensorConfig
-from annulus.daemon.observer import Observer
-from annulus.daemon.samples import RETRY_NS, SILENT_NS, Samples, open_sensors
-from annulus.labelling.navigation import Navigation
-from annulus.sensors.fdc2214 import Tank
-from annulus.sensors.i2c import I2cSensors
-from annulus.sensors.sample import Sample
-from annulus.twin.i2c_chips import TwinBus, ads1115, fdc2214, ina226, mpu6050
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon import samples
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.config import SensorConfig
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.samples import RETRY_NS, SILENT_NS, Samples, open_sensors
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.sensors.fdc2214 import Tank
+from annulus_pipe.sensors.i2c import I2cSensors
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.i2c_chips import TwinBus, ads1115, fdc2214, ina226, mpu6050
+from annulus_pipe.vocabulary import AnnulusError
 
 S = 1_000_000_000
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from annulus.daemon.health import Health, Word
-from annulus.daemon.service import PATIENCE_S, Service
-from annulus.daemon.state import State
+from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.service import PATIENCE_S, Service
+from annulus_pipe.daemon.state import State
 
 NUMBERS: dict[str, Any] = {"state": "scanning", "frames": {"projector": 80, "led": 20}}
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from annulus.daemon.state import TRANSITIONS, Event, State, next_state
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.state import TRANSITIONS, Event, State, next_state
+from annulus_pipe.vocabulary import AnnulusError
 
 # For every state, what each event leads to; an event that is not named is illegal there.
 TABLE = {

@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 import zmq
 
-from annulus.daemon import found
-from annulus.daemon.account import Account
-from annulus.daemon.found import Findings, frames_of, is_same
-from annulus.daemon.observer import Observer
-from annulus.daemon.publishing import Publishing
-from annulus.daemon.surveying import UNHEARD_MAX, Surveying
-from annulus.daemon.surveyor import OVERLAP, STEP, WAITING, WINDOW, Window
-from annulus.geometry.pose import Pose
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Shared
-from annulus.wall.defects import Defect, Kind
-from annulus.wall.profile import Profile
-from annulus.wall.survey import Survey
+from annulus_pipe.daemon import found
+from annulus_pipe.daemon.account import Account
+from annulus_pipe.daemon.found import Findings, frames_of, is_same
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.publishing import Publishing
+from annulus_pipe.daemon.surveying import UNHEARD_MAX, Surveying
+from annulus_pipe.daemon.surveyor import OVERLAP, STEP, WAITING, WINDOW, Window
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import Shared
+from annulus_pipe.wall.defects import Defect, Kind
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey
 from tests.unit.daemon import test_live_wall as live
 
 D = 150.0

@@ -7,17 +7,17 @@ from typing import NamedTuple
 
 import pytest
 
-from annulus.capture.camera import BAYER_RGGB8
-from annulus.daemon.flashes import Flashes, Gathered
-from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
-from annulus.stream.frames import FrameHeader
-from annulus.twin.driver import Delivered, Driver
-from annulus.twin.faults import Faults
-from annulus.twin.image_sensor import Exposure
-from annulus.twin.native import NativeBoard
-from annulus.twin.soak_world import MS_TICKS, SoakWorld
-from annulus.twin.truth import Verdict
-from annulus.vocabulary import Label
+from annulus_pipe.capture.camera import BAYER_RGGB8
+from annulus_pipe.daemon.flashes import Flashes, Gathered
+from annulus_pipe.labelling.labelling import CameraMode, FrameSeen, Labelling
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.driver import Delivered, Driver
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.image_sensor import Exposure
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.twin.soak_world import MS_TICKS, SoakWorld
+from annulus_pipe.twin.truth import Verdict
+from annulus_pipe.vocabulary import Label
 
 FRAMES = 1200
 LATE_NS = 9_000_000  # the second camera's driver stamps so much later

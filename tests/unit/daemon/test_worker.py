@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from annulus.daemon.worker import ReconstructionJob
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.reprocess.warmup import warmup_frame
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import Label
-from annulus.wall.profile import Profile
+from annulus_pipe.daemon.worker import ReconstructionJob
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.reprocess.warmup import warmup_frame
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import Label
+from annulus_pipe.wall.profile import Profile
 
 pytestmark = pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 

@@ -196,7 +196,7 @@ def test_what_builds_the_image_is_what_is_locked() -> None:
 
 def test_no_key_and_nothing_built_goes_into_the_image() -> None:
     kept = (DEPLOY / "Dockerfile.dockerignore").read_text(encoding="utf-8").splitlines()
-    assert kept[1] == "*" and {"**/*.key", "**/*.pem", "**/__pycache__", "host/annulus/shipped/*.so"} <= set(kept)
+    assert kept[1] == "*" and {"**/*.key", "**/*.pem", "**/__pycache__", "host/annulus_pipe/shipped/*.so"} <= set(kept)
     copied = [word for first, rest in steps() if first == "COPY" and "--from" not in rest for word in rest.split()[:-1]]
     assert all(list(ROOT.glob(word)) for word in copied), copied
 

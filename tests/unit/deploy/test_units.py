@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from annulus.shipped import CONSOLE_UNIT, UNIT, shipped
+from annulus_pipe.shipped import CONSOLE_UNIT, UNIT, shipped
 
 EXPOSURE_MAX = 35  # tenths; systemd calls below 4 "OK". 19 and 14 are measured (systemd 252), 89 without confinement
 NEEDED = ("video4linux", "media", "dma_heap", "ttyACM", "ttyUSB", "ttyAMA", "ttyS", "usb_device", "i2c")

@@ -12,18 +12,18 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from annulus import doctor
-from annulus.cli import app
-from annulus.daemon import cameras as daemon_cameras
-from annulus.daemon.check import Finding
-from annulus.doctor import drive, lines, machine
-from annulus.doctor.drive import disk
-from annulus.doctor.eyes import cameras
-from annulus.doctor.lines import ports, rule, users
-from annulus.doctor.machine import clock, kernels, memory
-from annulus.numeric import compiling
-from annulus.shipped import UDEV, shipped
-from annulus.vocabulary import AnnulusError
+from annulus_pipe import doctor
+from annulus_pipe.cli import app
+from annulus_pipe.daemon import cameras as daemon_cameras
+from annulus_pipe.daemon.check import Finding
+from annulus_pipe.doctor import drive, lines, machine
+from annulus_pipe.doctor.drive import disk
+from annulus_pipe.doctor.eyes import cameras
+from annulus_pipe.doctor.lines import ports, rule, users
+from annulus_pipe.doctor.machine import clock, kernels, memory
+from annulus_pipe.numeric import compiling
+from annulus_pipe.shipped import UDEV, shipped
+from annulus_pipe.vocabulary import AnnulusError
 
 MB = 1e6
 

@@ -13,7 +13,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def written(folder: Path) -> Callable[[str], Path]:
     """Write one form of the folder and give its file."""
-    from annulus.export import FORMS, open_results, write
+    from annulus_pipe.export import FORMS, open_results, write
 
     def one(name: str) -> Path:
         files = write(open_results(folder), [name], folder / "export")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus.report.ply import write_ply
+from annulus_pipe.report.ply import write_ply
 
 RADIUS_MM, Z_STEP_MM, ROWS = 76.2, 0.5, 400
 CLOUD = [

@@ -11,7 +11,7 @@ import pye57
 import pytest
 from plyfile import PlyData
 
-from annulus.export import open_results, write
+from annulus_pipe.export import open_results, write
 
 Written = Callable[[str], Path]
 PEAK_MB, SECONDS = 160, 2.0  # measured: 78 MB above what Python and the packages have, 0.5 s of processor
@@ -51,7 +51,7 @@ def test_e57_is_the_cloud_in_metres_with_its_colours(written: Written, folder: P
 
 
 def test_a_large_cloud_is_several_scans_of_one_e57(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annulus.export.e57.CHUNK", 300)
+    monkeypatch.setattr("annulus_pipe.export.e57.CHUNK", 300)
     (path,) = write(open_results(folder), ["e57"], folder / "export")
     with pye57.E57(str(path)) as file:
         counts = [file.get_header(i).point_count for i in range(file.scan_count)]
@@ -72,7 +72,7 @@ def test_a_cloud_beyond_two_kilometres_has_coarser_steps(folder: Path) -> None:
     data = PlyData.read(folder / "cloud.ply")
     cloud = data["vertex"].data.copy()
     cloud["z"] += 3e6
-    from annulus.report.ply import write_ply
+    from annulus_pipe.report.ply import write_ply
 
     write_ply(folder / "cloud.ply", cloud)
     (path,) = write(open_results(folder), ["laz"], folder / "export")
@@ -85,7 +85,7 @@ RUN = """
 import sys, time
 from pathlib import Path
 import laspy, lazrs
-from annulus.export import open_results, write
+from annulus_pipe.export import open_results, write
 
 def peak_kb():
     return int(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.cli.export import To
-from annulus.export import FORMS, available, open_results, write
-from annulus.extras import EXTRA_OF, adds
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.cli.export import To
+from annulus_pipe.export import FORMS, available, open_results, write
+from annulus_pipe.extras import EXTRA_OF, adds
+from annulus_pipe.vocabulary import AnnulusError
 
 FILES = {
     "pipe-tally.csv",
@@ -27,7 +27,7 @@ FILES = {
 
 
 def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from annulus.cli import main; sys.argv[0] = 'annulus'; main()"
+    code = "import sys; from annulus_pipe.cli import main; sys.argv[0] = 'annulus'; main()"
     return subprocess.run([sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, timeout=60)
 
 

@@ -13,8 +13,8 @@ import trimesh
 from plyfile import PlyData
 from results_folder import RADIUS_MM
 
-from annulus.export import open_results, write
-from annulus.export.dxf import runs
+from annulus_pipe.export import open_results, write
+from annulus_pipe.export.dxf import runs
 
 Written = Callable[[str], Path]
 
@@ -66,7 +66,7 @@ def test_the_surfaces_normals_point_into_the_pipe_as_the_meshs_do(written: Writt
 
 def test_glb_is_the_same_whatever_its_parts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (whole,) = write(open_results(folder), ["glb"], folder / "a")
-    monkeypatch.setattr("annulus.export.glb.CHUNK", 100)
+    monkeypatch.setattr("annulus_pipe.export.glb.CHUNK", 100)
     (parts,) = write(open_results(folder), ["glb"], folder / "b")
     assert whole.read_bytes() == parts.read_bytes()
 
@@ -116,7 +116,7 @@ def test_defects_lie_on_the_plan_at_their_distance_and_arc(written: Written, fol
 
 
 def test_a_long_pipe_has_a_drawing_that_a_program_can_hold(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annulus.export.dxf.OUTLINES_MAX", 7)
+    monkeypatch.setattr("annulus_pipe.export.dxf.OUTLINES_MAX", 7)
     (path,) = write(open_results(folder), ["dxf"], folder / "export")
     lines = ezdxf.readfile(path).modelspace().query('POLYLINE[layer=="STATIONS"]')
     assert len({line[0].dxf.location.y for line in lines}) == 7

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.export import FORMS, open_results, write
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.export import FORMS, open_results, write
+from annulus_pipe.vocabulary import AnnulusError
 
 Change = Callable[[Any], Any]
 
@@ -257,7 +257,7 @@ def test_stations_that_are_none_are_one_line(folder: Path, old: str, new: str) -
 @pytest.mark.deep(gate="tests/unit/export/test_hostile.py::test_a_face_that_has_no_corner_is_one_line")
 def test_no_change_of_a_value_or_a_byte_is_more_than_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """150 folders with one value of summary.json or centreline.json changed, or some bytes of any file."""
-    monkeypatch.setattr("annulus.export.dxf.OUTLINES_MAX", 2)
+    monkeypatch.setattr("annulus_pipe.export.dxf.OUTLINES_MAX", 2)
     draw = random.Random(17)
     files = {path: path.read_bytes() for path in folder.iterdir()}
     values = [None, True, -1, 0, 1e308, 10**30, "", "x" * 5000, [], {}, [[]], {"a": {"b": {}}}, "\x00", "12:00"]

@@ -8,7 +8,7 @@ import numpy as np
 import pandas
 from results_folder import RADIUS_MM, ROWS, Z_STEP_MM, radius_map
 
-from annulus.export.radii import ANGLES_DEG, at_angles
+from annulus_pipe.export.radii import ANGLES_DEG, at_angles
 
 Written = Callable[[str], Path]
 

@@ -11,7 +11,7 @@ import openpyxl
 import pandas
 import pytest
 
-from annulus.export.tally import clock_time
+from annulus_pipe.export.tally import clock_time
 
 Written = Callable[[str], Path]
 POF_2016 = [

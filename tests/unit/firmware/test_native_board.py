@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.twin.native import BYTE_TICKS, TRANSITION, NativeBoard
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
+from annulus_pipe.twin.native import BYTE_TICKS, TRANSITION, NativeBoard
+from annulus_pipe.vocabulary import AnnulusError
 
 MS = 100_000
 

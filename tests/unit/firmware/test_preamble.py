@@ -5,7 +5,7 @@ show that this is the order which the pins follow.
 import numpy as np
 import pytest
 
-from annulus.vocabulary import Lamp
+from annulus_pipe.vocabulary import Lamp
 
 LAMPS = np.array([Lamp.PROJECTOR, Lamp.LED, Lamp.DARK, Lamp.PROJECTOR], np.uint8)  # of two bits, as core/preamble.c
 SLIP_MAX = 63  # frames

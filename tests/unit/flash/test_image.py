@@ -9,12 +9,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from annulus.flash.chips import CHIPS, RP2040, RP2350, Chip
-from annulus.flash.image import FLASH_START, Image, application, crc32_boot2, parse_image, read_image, require_ours
-from annulus.flash.update import image_fields, to_uf2
-from annulus.link.messages import SCHEMA_HASH
-from annulus.shipped import shipped
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.flash.chips import CHIPS, RP2040, RP2350, Chip
+from annulus_pipe.flash.image import FLASH_START, Image, application, crc32_boot2, parse_image, read_image, require_ours
+from annulus_pipe.flash.update import image_fields, to_uf2
+from annulus_pipe.link.messages import SCHEMA_HASH
+from annulus_pipe.shipped import shipped
+from annulus_pipe.vocabulary import AnnulusError
 
 # The least an RP2350 starts (datasheet 5.9.5): IMAGE_TYPE Arm, Secure, executable; last item; no other block.
 IMAGE_DEF = bytes.fromhex("d3deffff 42012110 ff010000 00000000 793512ab")

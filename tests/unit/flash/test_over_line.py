@@ -9,8 +9,8 @@ from boot_rom import Board, Bus
 from test_client import far_end, serving
 from test_image import program, uf2
 
-from annulus.flash import over_line, update
-from annulus.flash.image import (
+from annulus_pipe.flash import over_line, update
+from annulus_pipe.flash.image import (
     APPLICATION_AT,
     APPLICATION_SIZE_AT,
     RECORDS_AT,
@@ -20,9 +20,9 @@ from annulus.flash.image import (
     has_application,
     parse_image,
 )
-from annulus.flash.over_line import UpdateRefused, write_over_line
-from annulus.flash.update import flash
-from annulus.link.messages import (
+from annulus_pipe.flash.over_line import UpdateRefused, write_over_line
+from annulus_pipe.flash.update import flash
+from annulus_pipe.link.messages import (
     BOOTLOADER_NEEDS_USB,
     SCHEMA_HASH,
     Bootloader,
@@ -39,8 +39,8 @@ from annulus.link.messages import (
     UpdateEndReply,
     UpdateRefusal,
 )
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError
 
 SIZE = 3000
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_image import program
 
-from annulus.flash.chips import RP2040, RP2350
-from annulus.flash.picoboot import (
+from annulus_pipe.flash.chips import RP2040, RP2350
+from annulus_pipe.flash.picoboot import (
     CommandId,
     PicoBoot,
     StatusCode,
@@ -22,8 +22,8 @@ from annulus.flash.picoboot import (
     parse_status,
     write_flash,
 )
-from annulus.shipped import UDEV, shipped
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.shipped import UDEV, shipped
+from annulus_pipe.vocabulary import AnnulusError
 
 IMAGE = program(3 * SECTOR + 512, seed=4)
 

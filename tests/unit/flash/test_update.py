@@ -16,11 +16,11 @@ from test_client import far_end, serving
 from test_image import program, program_rp2350, uf2, uf2_rp2350
 from typer.testing import CliRunner
 
-from annulus.cli.firmware import app
-from annulus.flash import update
-from annulus.flash.chips import RP2040, RP2350
-from annulus.flash.image import Image, parse_image
-from annulus.flash.update import (
+from annulus_pipe.cli.firmware import app
+from annulus_pipe.flash import update
+from annulus_pipe.flash.chips import RP2040, RP2350
+from annulus_pipe.flash.image import Image, parse_image
+from annulus_pipe.flash.update import (
     PRODUCT,
     Controller,
     Flashed,
@@ -32,7 +32,7 @@ from annulus.flash.update import (
     flash,
     monitor,
 )
-from annulus.link.messages import (
+from annulus_pipe.link.messages import (
     BOOTLOADER_NEEDS_USB,
     SCHEMA_HASH,
     Bootloader,
@@ -46,8 +46,8 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 IMAGE = parse_image(bytes(uf2(program(2048))), "annulus.uf2")  # says it is commit deadbeef, as the scripted controller
 
@@ -379,6 +379,6 @@ def test_a_foreign_image_needs_force_and_no_file_says_how_to_build_one(
         annulus("flash", str(path))
     annulus("flash", str(path), "--force")
     assert flashed == [str(path)]
-    monkeypatch.setattr("annulus.shipped._HERE", tmp_path)
+    monkeypatch.setattr("annulus_pipe.shipped._HERE", tmp_path)
     with pytest.raises(AnnulusError, match="make firmware"):
         annulus("flash")

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from annulus.fringe import FringeProjector
-from annulus.geometry.calibration import HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.fringe import FringeProjector
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 
 RADIUS_MM = 60.0
 LENS = HeadCamera(0, Camera("fisheye", 360, 360, 150.0, 150.0, 179.5, 179.5, (0.02, -0.004, 0.0, 0.0)))

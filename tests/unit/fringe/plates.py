@@ -4,10 +4,10 @@ code of the method used but the slide's phase."""
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from annulus.fringe import FringeProjector
-from annulus.geometry.calibration import HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.fringe import FringeProjector
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 
 STILL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 SLIDE = FringeProjector("stripes", (20.0, 0.0, 0.0), STILL, 0.04, 0.6)

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus.fringe import FringeHead, FringeProjector, ReferencePlate, Transfer, calibrate_plate, projector_to_dict
-from annulus.geometry.calibration import HeadCamera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.fringe import (
+    FringeHead,
+    FringeProjector,
+    ReferencePlate,
+    Transfer,
+    calibrate_plate,
+    projector_to_dict,
+)
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.vocabulary import AnnulusError
 
 HEIGHTS = (-4.0, 0.0, 3.0, 8.0)
 

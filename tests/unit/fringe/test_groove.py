@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bores import LENS, RADIUS_MM, SLIDE, drawn
 
-from annulus.fringe import Eye, PipeMap, Shots, find_scratches, measure_pipe
+from annulus_pipe.fringe import Eye, PipeMap, Shots, find_scratches, measure_pipe
 
 pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_the_slide_is_found_within_its_sigma")
 

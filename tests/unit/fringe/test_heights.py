@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus.fringe import Points, View, heights, merged, noise_of, spline, untextured
-from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED
-from annulus.geometry.camera import Camera
-from annulus.numeric.arrays import FloatArray
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.fringe import Points, View, heights, merged, noise_of, spline, untextured
+from annulus_pipe.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.vocabulary import AnnulusError
 
 EVEN = np.arange(8) * 1.0
 UNEVEN = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus.fringe import Points, View, spline, told_elsewhere
+from annulus_pipe.fringe import Points, View, spline, told_elsewhere
 
 MOVED = np.array([0.0, 0.9, 2.1, 3.2])
 GRID = Points.plate(np.arange(-8.0, 38.0, 0.6), np.arange(-14.0, 14.0, 0.6), DISTANCE_MM)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from bores import LENS, RADIUS_MM, SLIDE, drawn
 
-from annulus.fringe import Eye, FringeProjector, Shots, calibrate_pipe, find_scratches, measure_pipe
-from annulus.fringe.projector import HARMONICS_MAX
-from annulus.numeric.arrays import FloatArray
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.fringe import Eye, FringeProjector, Shots, calibrate_pipe, find_scratches, measure_pipe
+from annulus_pipe.fringe.projector import HARMONICS_MAX
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.vocabulary import AnnulusError
 
 EYE = Eye(LENS, SLIDE)
 UNEVEN = np.array([0.0, 1.1, 3.3, 4.2, 6.9, 8.0, 10.6, 12.1, 13.0, 15.4])

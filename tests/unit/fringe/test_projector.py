@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from annulus.fringe import FringeProjector
-from annulus.fringe.projector import wave
+from annulus_pipe.fringe import FringeProjector
+from annulus_pipe.fringe.projector import wave
 
 STRIPES = {
     "kind": "stripes",

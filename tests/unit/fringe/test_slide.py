@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli.pattern import app
-from annulus.fringe import FringeProjector, ring_slide
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli.pattern import app
+from annulus_pipe.fringe import FringeProjector, ring_slide
+from annulus_pipe.vocabulary import AnnulusError
 
 GIVEN = (101.6, 8.0, 60.0, (22.0, 38.0), 12.0)
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.fringe import Eye, Shots, measure_pipe
-from annulus.geometry.calibration import HeadCamera
-from annulus.numeric.arrays import Float32Array, FloatArray
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, series_world
-from annulus.twin.worlds.sensor_head import Fringes
+from annulus_pipe.fringe import Eye, Shots, measure_pipe
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World, series_world
+from annulus_pipe.twin.worlds.sensor_head import Fringes
 
 pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_steps.py::test_a_slip_is_said_where_it_was")
 

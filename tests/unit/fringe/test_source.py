@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.fringe.source import direct, four_step, height, iterated, least_squares
+from annulus_pipe.fringe.source import direct, four_step, height, iterated, least_squares
 
 RATE, BASE, FAR = 2 * np.pi / 0.0133, 0.1, 1.5
 QUARTER = np.arange(4) * FAR / RATE * np.pi / 2

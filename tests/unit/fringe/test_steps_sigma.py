@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
-from annulus.fringe import Points, find_steps, spline
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.fringe import Points, find_steps, spline
+from annulus_pipe.numeric.arrays import FloatArray
 
 TRUE = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])
 GRID = Points.plate(np.arange(0.0, 30.0, 0.5), np.arange(-14.0, 14.0, 0.5), DISTANCE_MM)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus.fringe import FringeProjector, Heights, Points, spline, stereo_heights
-from annulus.fringe.track import GOOD
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.fringe import FringeProjector, Heights, Points, spline, stereo_heights
+from annulus_pipe.fringe.track import GOOD
+from annulus_pipe.vocabulary import AnnulusError
 
 MOVED = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])
 AHEAD = np.array([1.0, 0.0, 0.0])

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
-from annulus.fringe import Points, View, heights, spline, stream
-from annulus.fringe.track import GOOD
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.fringe import Points, View, heights, spline, stream
+from annulus_pipe.fringe.track import GOOD
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 
 STEP_MM = 9.0
 AHEAD = np.array([1.0, 0.0, 0.0])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
-from annulus.fringe import Points, View, spline
-from annulus.fringe.stretch import _shift, stretch
-from annulus.numeric.arrays import Float32Array
+from annulus_pipe.fringe import Points, View, spline
+from annulus_pipe.fringe.stretch import _shift, stretch
+from annulus_pipe.numeric.arrays import Float32Array
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 TRUE = np.arange(0.0, 13.0, 1.3)

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus.geometry.calibration import Calibration, HeadCamera, RingCorrection, camera_alone, head_from_dict
-from annulus.geometry.camera import Camera, Mirror
-from annulus.geometry.cone import Cone
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.calibration import Calibration, HeadCamera, RingCorrection, camera_alone, head_from_dict
+from annulus_pipe.geometry.camera import Camera, Mirror
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.vocabulary import AnnulusError
 
 DATA = Path(__file__).parents[2] / "data"
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)

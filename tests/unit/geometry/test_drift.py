@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, cone_distance
-from annulus.geometry.drift import Drift, drifted, seen_with
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, cone_distance
+from annulus_pipe.geometry.drift import Drift, drifted, seen_with
 
 PART, MM = st.floats(-0.004, 0.004), st.floats(-0.4, 0.4)
 DRIFTS = st.builds(Drift, PART, PART, MM, PART, MM, MM, MM)

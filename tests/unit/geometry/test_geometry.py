@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, cone_distance, intersect_cone, intersect_cylinder
-from annulus.geometry.pose import Pose
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, cone_distance, intersect_cone, intersect_cylinder
+from annulus_pipe.geometry.pose import Pose
 
 CAMERAS = [
     Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5),

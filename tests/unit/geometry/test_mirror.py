@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import camera_from_dict, camera_to_dict
-from annulus.geometry.camera import Camera, Mirror
+from annulus_pipe.geometry.calibration import camera_from_dict, camera_to_dict
+from annulus_pipe.geometry.camera import Camera, Mirror
 
 BALL = Mirror((0.3, -0.2, 45.0), 10.0)
 CAMERA = Camera("mirror", 1664, 1232, 2460.0, 2455.0, 831.5, 615.5, (-0.05, 0.01, 1e-4, -1e-4), BALL)

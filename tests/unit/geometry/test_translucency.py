@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, intersect_cone, intersect_cylinder
-from annulus.geometry.pose import Pose
-from annulus.geometry.translucency import (
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, intersect_cone, intersect_cylinder
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.geometry.translucency import (
     SHIFT_MAX_MM,
     Translucency,
     along,

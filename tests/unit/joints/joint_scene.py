@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 
 VOXEL = (0.34, 0.3, 0.3)  # z, y, x, mm
 AIR, PLASTIC = 150.0, 1900.0

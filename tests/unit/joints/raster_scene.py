@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates, uniform_filter
 
-from annulus.joints.raster import Raster, Surface
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.joints.raster import Raster, Surface
+from annulus_pipe.numeric.arrays import FloatArray
 
 RADIUS, JOINT, ANGLES, STEP = 30.0, 26.0, 240, 0.4
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.joints.clusters import leave_one_out
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.joints.clusters import leave_one_out
+from annulus_pipe.vocabulary import AnnulusError
 
 ANGLES = np.arange(8) * 45.0
 

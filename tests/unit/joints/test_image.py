@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from joint_scene import VOXEL, Scene
 
-from annulus.joints import ArrayVolume, JointImage, features, image, summary
-from annulus.joints.axis import Axis
-from annulus.joints.unwrap import planes
-from annulus.joints.zone import Shape, _model
-from annulus.numeric.arrays import FloatArray
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.joints import ArrayVolume, JointImage, features, image, summary
+from annulus_pipe.joints.axis import Axis
+from annulus_pipe.joints.unwrap import planes
+from annulus_pipe.joints.zone import Shape, _model
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.vocabulary import AnnulusError
 
 SCENE = Scene()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from raster_scene import JOINT, joint, scan
 
-from annulus.joints.raster import Raster, at_joint, place
-from annulus.record.raster import read_raster
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.joints.raster import Raster, at_joint, place
+from annulus_pipe.record.raster import read_raster
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.mark.parametrize("seed", [0, 3])

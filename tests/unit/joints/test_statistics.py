@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.joints.distance import distance_correlation
-from annulus.joints.statistics import Search, Strengths, correlate, moving_mean, power
-from annulus.numeric.arrays import FloatArray
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.joints.distance import distance_correlation
+from annulus_pipe.joints.statistics import Search, Strengths, correlate, moving_mean, power
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.vocabulary import AnnulusError
 
 PHI = np.arange(360.0)
 ANGLES = np.arange(8) * 45.0

@@ -8,9 +8,9 @@ import pytest
 from joint_scene import VOXEL, Scene, volume
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.joints import ArrayVolume, StripImage, strip
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.joints import ArrayVolume, StripImage, strip
+from annulus_pipe.vocabulary import AnnulusError
 
 STRIP = Scene(
     radius=30.0,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.joints.transmission import against_strengths, transmission
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.joints.transmission import against_strengths, transmission
+from annulus_pipe.vocabulary import AnnulusError
 
 Z = np.arange(0.0, 40.0, 0.25)
 SHIFT = np.array([0.9, -0.6, 0.2, -1.4, 1.1, 0.0, -0.7, 0.5])

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from annulus.capture.photometry import Light, Photometry
-from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
-from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.capture.photometry import Light, Photometry
+from annulus_pipe.labelling.labelling import CameraMode, FrameSeen, Labelling
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.link.head import EdgeSeen
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
 PERIOD = 40 * MS

@@ -3,17 +3,17 @@
 import random
 from dataclasses import replace
 
-from annulus.capture.photometry import Photometry
-from annulus.labelling.evidence import Row
-from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
-from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, LampsCut
-from annulus.link.messages import Edge, Fault, FaultCode
-from annulus.link.session import EventReceived, EventsLost, Rebooted
-from annulus.record.frames import from_json, to_json
-from annulus.sensors.sample import Sample
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+from annulus_pipe.capture.photometry import Photometry
+from annulus_pipe.labelling.evidence import Row
+from annulus_pipe.labelling.labelling import CameraMode, FrameSeen, Labelling
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.link.head import EdgeSeen, LampsCut
+from annulus_pipe.link.messages import Edge, Fault, FaultCode
+from annulus_pipe.link.session import EventReceived, EventsLost, Rebooted
+from annulus_pipe.record.frames import from_json, to_json
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 PERIOD = 40_000_000
 LED, PROJECTOR = Photometry(200.0, 1.0, 0.005), Photometry(200.0, 0.2, 0.35)

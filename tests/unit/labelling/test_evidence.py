@@ -3,12 +3,12 @@
 import pytest
 from faulty_head import Head
 
-from annulus.labelling.evidence import LABEL
-from annulus.labelling.replay import PATIENCE_NS, Replay
-from annulus.link.messages import Edge
-from annulus.link.session import EventReceived
-from annulus.record.frames import from_json, to_json
-from annulus.vocabulary import EdgeFlag, Label, Lamp
+from annulus_pipe.labelling.evidence import LABEL
+from annulus_pipe.labelling.replay import PATIENCE_NS, Replay
+from annulus_pipe.link.messages import Edge
+from annulus_pipe.link.session import EventReceived
+from annulus_pipe.record.frames import from_json, to_json
+from annulus_pipe.vocabulary import EdgeFlag, Label, Lamp
 
 
 @pytest.mark.deep(but=1)

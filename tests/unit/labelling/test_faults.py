@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from bench_of_faults import PERIOD, Bench, Faults, Score
 
-from annulus.capture.proof import State, Witness
-from annulus.vocabulary import Lamp
+from annulus_pipe.capture.proof import State, Witness
+from annulus_pipe.vocabulary import Lamp
 
 NOBODY_COUNTS: Callable[[int], int | None] = lambda k: None  # noqa: E731
 COUNTS = pytest.mark.parametrize("count", [lambda k: 1000 + k, NOBODY_COUNTS], ids=["counted", "uncounted"])

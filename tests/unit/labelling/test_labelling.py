@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.capture.photometry import Light, Photometry
-from annulus.labelling.labelling import (
+from annulus_pipe.capture.photometry import Light, Photometry
+from annulus_pipe.labelling.labelling import (
     NO_CONTROLLER,
     NOT_KNOWN,
     OFFSET_FRAMES,
@@ -14,12 +14,12 @@ from annulus.labelling.labelling import (
     FrameSeen,
     Labelling,
 )
-from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen
-from annulus.sensors.roll import NEAR_NS
-from annulus.sensors.sample import Sample
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.labelling.navigation import Navigation
+from annulus_pipe.link.head import EdgeSeen
+from annulus_pipe.sensors.roll import NEAR_NS
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 PERIOD = 40_000_000
 MODE = CameraMode(0, 64, 48, "mono8", PERIOD)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from faulty_head import Head
 
-from annulus.cli import main
-from annulus.record.recording import Recording, open_recording
-from annulus.record.writer import RecordingWriter
-from annulus.reprocess.relabel import audit, identity, relabel
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.cli import main
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.reprocess.relabel import audit, identity, relabel
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 Changed = dict[int, dict[str, Any]]  # by number of the frame
 

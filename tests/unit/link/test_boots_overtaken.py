@@ -1,6 +1,6 @@
 """A status that overtakes the edges it counts is no other boot: seen as a needless re-arming on the emulated image."""
 
-from annulus.link.boots import BootWatch
+from annulus_pipe.link.boots import BootWatch
 
 
 def test_a_status_may_overtake_the_edges_it_counts() -> None:

@@ -13,13 +13,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from annulus.link import port as rooms
-from annulus.link.client import Client
-from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
-from annulus.link.port import WRITE_S, Port
-from annulus.link.session import EventReceived
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.link import port as rooms
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
+from annulus_pipe.link.port import WRITE_S, Port
+from annulus_pipe.link.session import EventReceived
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 
 @contextmanager

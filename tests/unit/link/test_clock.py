@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 
-from annulus.link.clock import DRIFT_PRIOR, FLOOR_NS, HALF_LIFE_NS, HOLD_NS, SAMPLES_MAX, SAMPLES_TO_LOCK, ClockMap
+from annulus_pipe.link.clock import DRIFT_PRIOR, FLOOR_NS, HALF_LIFE_NS, HOLD_NS, SAMPLES_MAX, SAMPLES_TO_LOCK, ClockMap
 
 MS = 1_000_000
 WRAP = 1 << 32

@@ -1,7 +1,7 @@
 """A head is brought into service, kept alive, and brought back by itself after resets and faults."""
 
-from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
-from annulus.link.messages import (
+from annulus_pipe.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
+from annulus_pipe.link.messages import (
     SCHEMA_HASH,
     Arm,
     ArmFlag,
@@ -19,11 +19,11 @@ from annulus.link.messages import (
     StatusCode,
     Wiring,
 )
-from annulus.link.phase import Phase
-from annulus.link.pins import pins_of
-from annulus.link.preamble import preamble_of
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import EdgeFlag, Lamp
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.link.pins import pins_of
+from annulus_pipe.link.preamble import preamble_of
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000
 FINE = EdgeFlag(0)

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.link.client import Client
-from annulus.link.codec import Corrupt, Decoder, Unknown, crc16
-from annulus.link.head import EdgeSeen, HeadControl
-from annulus.link.messages import (
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.codec import Corrupt, Decoder, Unknown, crc16
+from annulus_pipe.link.head import EdgeSeen, HeadControl
+from annulus_pipe.link.messages import (
     LEVEL,
     BootCause,
     Booted,
@@ -26,10 +26,10 @@ from annulus.link.messages import (
     Status,
     TurntableDone,
 )
-from annulus.link.phase import Phase
-from annulus.link.session import Answer, EventReceived, EventsLost, Rebooted, Session, identify
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.link.session import Answer, EventReceived, EventsLost, Rebooted, Session, identify
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 MS = 1_000_000
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.link import operate
-from annulus.link.messages import LEVEL, Command, Configuration, Reply
-from annulus.link.stage import stage_from_us
-from annulus.testing.heads import ScriptedHead, SimulatedHead
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link import operate
+from annulus_pipe.link.messages import LEVEL, Command, Configuration, Reply
+from annulus_pipe.link.stage import stage_from_us
+from annulus_pipe.testing.heads import ScriptedHead, SimulatedHead
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError
 
 STAGE = stage_from_us(
     ratio=4, period_us=40000, exposure_us=38000, readout_us=28000, projector_us=(4500, 5000), led_us=(5750, 2500)

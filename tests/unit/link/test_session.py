@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Reread, Status, StatusCode, TurntableDone
-from annulus.link.session import (
+from annulus_pipe.link.messages import EVENT_RING, Identify, Move, Ping, Reread, Status, StatusCode, TurntableDone
+from annulus_pipe.link.session import (
     WINDOW,
     Answer,
     EventReceived,
@@ -18,8 +18,8 @@ from annulus.link.session import (
     Unanswered,
     identify,
 )
-from annulus.testing.scripted import BadLine, ScriptedController
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.testing.scripted import BadLine, ScriptedController
+from annulus_pipe.vocabulary import AnnulusError
 
 MS = 1_000_000
 

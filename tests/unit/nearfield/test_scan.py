@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.nearfield import Plan, log_of, scan
-from annulus.record.raster import read_raster
-from annulus.record.raster_log import RasterLog
-from annulus.sensors.linear_stage import LinearStage
-from annulus.sensors.probe import VisaProbe
-from annulus.twin.emulated import open_board
-from annulus.twin.nearfield import NOISE_MV, QUERIES, GrblStage, NearFieldRig, joint_field
-from annulus.twin.real_time import serving
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.nearfield import Plan, log_of, scan
+from annulus_pipe.record.raster import read_raster
+from annulus_pipe.record.raster_log import RasterLog
+from annulus_pipe.sensors.linear_stage import LinearStage
+from annulus_pipe.sensors.probe import VisaProbe
+from annulus_pipe.twin.emulated import open_board
+from annulus_pipe.twin.nearfield import NOISE_MV, QUERIES, GrblStage, NearFieldRig, joint_field
+from annulus_pipe.twin.real_time import serving
+from annulus_pipe.vocabulary import AnnulusError
 
 PLAN = Plan(angles=5, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
 FEED = 60_000.0

@@ -9,10 +9,10 @@ from types import FunctionType
 
 import pytest
 
-from annulus.numeric import compiling, jit
+from annulus_pipe.numeric import compiling, jit
 
 CALLER = """
-from annulus.numeric.jit import jit
+from annulus_pipe.numeric.jit import jit
 from callee import WEIGHT, half
 
 @jit
@@ -20,7 +20,7 @@ def weighed(x):
     return WEIGHT * half(x)
 """
 CALLEE = """
-from annulus.numeric.jit import jit
+from annulus_pipe.numeric.jit import jit
 WEIGHT = {weight}
 
 @jit
@@ -30,7 +30,7 @@ def half(x):
 RUN = """
 import sys
 sys.path.insert(0, {folder!r})
-from annulus.numeric import compiling
+from annulus_pipe.numeric import compiling
 compiling.MOMENT_S = {moment}
 from caller import weighed
 with compiling.telling(lambda line: print("told", line)):
@@ -113,11 +113,12 @@ def test_where_nothing_can_be_kept_nothing_is_ready(monkeypatch: pytest.MonkeyPa
 
 
 ALL = """
-import importlib, json, pkgutil, annulus
-names = [one.name for one in pkgutil.walk_packages(annulus.__path__, "annulus.") if ".shipped." not in one.name]
+import importlib, json, pkgutil, annulus_pipe
+names = [one.name for one in pkgutil.walk_packages(annulus_pipe.__path__, "annulus_pipe.")]
+names = [name for name in names if ".shipped." not in name]
 for name in sorted(names, reverse={reverse}):
     importlib.import_module(name)
-from annulus.numeric.jit import _stamps
+from annulus_pipe.numeric.jit import _stamps
 print(json.dumps(_stamps, sort_keys=True))
 """
 

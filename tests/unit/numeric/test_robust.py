@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from annulus.numeric.robust import CAUCHY, TUKEY, biweight, cauchy, prior_sigma, robust_sigma
+from annulus_pipe.numeric.robust import CAUCHY, TUKEY, biweight, cauchy, prior_sigma, robust_sigma
 
 
 def test_a_third_of_wild_values_moves_the_robust_sigma_by_less_than_their_share() -> None:

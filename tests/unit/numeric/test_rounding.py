@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.numeric.rounding import (
+from annulus_pipe.numeric.rounding import (
     ANGLE,
     ARC,
     AREA,

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus import vocabulary
-from annulus.link import messages
-from annulus.vocabulary import AnnulusError
+from annulus_pipe import vocabulary
+from annulus_pipe.link import messages
+from annulus_pipe.vocabulary import AnnulusError
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "protocol"
 VECTORS: dict[str, Any] = json.loads((PROTOCOL / "vectors.json").read_text())

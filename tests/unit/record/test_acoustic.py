@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def record(positions=12, samples=64, **more):

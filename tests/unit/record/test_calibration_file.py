@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record.acoustic import AcousticRecord, save_acoustic
-from annulus.record.calibration_file import (
+from annulus_pipe.record.acoustic import AcousticRecord, save_acoustic
+from annulus_pipe.record.calibration_file import (
     load_calibration,
     load_camera,
     save_calibration,
     save_part,
     update_calibration,
 )
-from annulus.record.whole import written_whole
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.whole import written_whole
+from annulus_pipe.vocabulary import AnnulusError
 
 DATA = Path(__file__).parents[2] / "data"
 CALIBRATION = load_calibration(DATA / "calibration-1.json")

@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.cli import main
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec, to_bgr
-from annulus.record.copy import clock_of, copy, recover
-from annulus.record.folder import export_folder
-from annulus.record.recording import Recording, open_recording
-from annulus.record.scan import open_scan
-from annulus.record.video import import_video, read_chainage
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import main
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec, to_bgr
+from annulus_pipe.record.copy import clock_of, copy, recover
+from annulus_pipe.record.folder import export_folder
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.video import import_video, read_chainage
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES, H, W = 12, 48, 64
 CLOCK = Clock(5_000, 1_800_000_000_000_000_000)

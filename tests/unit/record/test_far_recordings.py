@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record import remote
-from annulus.record.codec import Codec
-from annulus.record.frames import RecordedFrame
-from annulus.record.parts import Part
-from annulus.record.recording import Recording, open_recording
-from annulus.record.remote import Patience
-from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record import remote
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.frames import RecordedFrame
+from annulus_pipe.record.parts import Part
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.remote import Patience
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 
 FRAMES, H, W = 60, 120, 160
@@ -250,10 +250,10 @@ def test_a_long_local_walk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = torn(write(tmp_path / "scan.mcap"))
     open_recording(path)
     assert not path.with_name("scan.mcap.index").exists()
-    monkeypatch.setattr("annulus.record.kept.KEEP_S", 0.0)
+    monkeypatch.setattr("annulus_pipe.record.kept.KEEP_S", 0.0)
     before = open_recording(path)
     assert path.with_name("scan.mcap.index").exists()
-    monkeypatch.setattr("annulus.record.recording.Walk", None)
+    monkeypatch.setattr("annulus_pipe.record.recording.Walk", None)
     assert same(open_recording(path), before)
 
 

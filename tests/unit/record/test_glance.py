@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec
-from annulus.record.glance import glance
-from annulus.record.parts import Part, part_path
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.glance import glance
+from annulus_pipe.record.parts import Part, part_path
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 
 ROOT = Path(__file__).resolve().parents[3]
 START_NS = 1_800_000_000_000_000_000
@@ -79,7 +79,7 @@ def test_parts_are_one_scan_and_a_missing_one_is_seen(tmp_path: Path) -> None:
 
 
 def test_what_it_reads_does_not_grow_with_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import annulus.record.glance as room
+    import annulus_pipe.record.glance as room
 
     monkeypatch.setattr(room, "HEAD", 1 << 18)
     monkeypatch.setattr(room, "TAIL", 1 << 18)
@@ -92,7 +92,7 @@ def test_what_it_reads_does_not_grow_with_the_recording(tmp_path: Path, monkeypa
         return real(file, offset, length)  # type: ignore[arg-type]
 
     monkeypatch.setattr(room, "piece", counted)
-    monkeypatch.setattr("annulus.record.walk.piece", counted)
+    monkeypatch.setattr("annulus_pipe.record.walk.piece", counted)
     assert glance(path).to_mm == 798.0
     assert read[0] < 2 * (1 << 20) < path.stat().st_size / 10
 

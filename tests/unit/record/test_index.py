@@ -15,15 +15,15 @@ import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from annulus.record import index
-from annulus.record.codec import Codec
-from annulus.record.frames import LABEL_TOPIC, from_json, sorted_out, to_json
-from annulus.record.indexed import read_index
-from annulus.record.recording import open_recording
-from annulus.record.walk import DamagedError, Walk
-from annulus.record.writer import RecordingWriter
-from annulus.untrusted import unpack
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record import index
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.frames import LABEL_TOPIC, from_json, sorted_out, to_json
+from annulus_pipe.record.indexed import read_index
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.walk import DamagedError, Walk
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.untrusted import unpack
+from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES, H, W = 40, 24, 32
 ATTACHED = ("calibration.json", "configuration.json", "part.json", "clock.json")
@@ -80,7 +80,7 @@ def test_an_index_says_what_a_walk_finds(
 
 def test_a_closed_recording_is_not_walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.mcap")
-    monkeypatch.setattr("annulus.record.recording.Walk", None)
+    monkeypatch.setattr("annulus_pipe.record.recording.Walk", None)
     recording = open_recording(path)
     assert [one["n"] for one in recording.notes("/mark")] == list(range(0, FRAMES, 3))
     again = pickle.loads(pickle.dumps(recording))

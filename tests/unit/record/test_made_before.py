@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.acoustic import load_acoustic
-from annulus.record.calibration_file import load_calibration, load_part
-from annulus.record.recording import Recording, open_recording
-from annulus.record.scan import open_scan
-from annulus.rings.calibration.reference import Reference
-from annulus.rings.colour import ColourProfile
-from annulus.tai.decode import load_template
-from annulus.vocabulary import Label
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.acoustic import load_acoustic
+from annulus_pipe.record.calibration_file import load_calibration, load_part
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.rings.calibration.reference import Reference
+from annulus_pipe.rings.colour import ColourProfile
+from annulus_pipe.tai.decode import load_template
+from annulus_pipe.vocabulary import Label
+from annulus_pipe.wall.profile import Profile
 
 BEFORE = Path(__file__).parents[2] / "data" / "before"
 EXPECTED = json.loads((BEFORE / "expected.json").read_text())

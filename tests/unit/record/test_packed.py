@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import zstandard
 
-from annulus.record import walk
-from annulus.record.codec import Codec
-from annulus.record.recording import open_recording
-from annulus.record.walk import DamagedError
-from annulus.record.writer import RecordingWriter
+from annulus_pipe.record import walk
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.walk import DamagedError
+from annulus_pipe.record.writer import RecordingWriter
 
 FRAMES, H, W = 8, 96, 128
 CODEC = b"\4\0\0\0zstd"

@@ -23,15 +23,15 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from annulus.cli import main
-from annulus.record.clock import Clock
-from annulus.record.codec import Codec, to_bgr
-from annulus.record.frames import from_json, to_json
-from annulus.record.recording import open_recording
-from annulus.record.scan import open_scan
-from annulus.record.viewers import preview
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.cli import main
+from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.codec import Codec, to_bgr
+from annulus_pipe.record.frames import from_json, to_json
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.viewers import preview
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 H, W = 48, 64
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from annulus.record import remote
-from annulus.record.remote import ChangedError, Patience, RemoteFile, UnreachableError, Url, joined, remote_file
-from annulus.record.storage import Place, where, writer
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record import remote
+from annulus_pipe.record.remote import ChangedError, Patience, RemoteFile, UnreachableError, Url, joined, remote_file
+from annulus_pipe.record.storage import Place, where, writer
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 
 PATIENT = Patience(attempts=5, answer_s=20.0, wait_s=0.02)  # also where the machine is busy

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.capture.camera import EndOfFrames, grab, plug
-from annulus.record.replay import ScanFolderCamera, VideoFileCamera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.capture.camera import EndOfFrames, grab, plug
+from annulus_pipe.record.replay import ScanFolderCamera, VideoFileCamera
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def scan_folder(path: Path, rows: list[str], header: str = "index,file,light,z_mm") -> Path:

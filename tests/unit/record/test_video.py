@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.record.scan import open_scan
-from annulus.record.video import Chainage, Imported, import_video, read_chainage
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.video import Chainage, Imported, import_video, read_chainage
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 FRAMES, WIDTH, HEIGHT = 12, 64, 48
 
@@ -36,7 +36,7 @@ def made(path: Path, form: str = "FFV1", grey: bool = False) -> Path:
 
 
 def command(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    code = "from annulus.cli import main; main()"
+    code = "from annulus_pipe.cli import main; main()"
     whole = [sys.executable, "-c", code, "record", "import", *arguments]
     return subprocess.run(whole, cwd=folder, capture_output=True, text=True)
 

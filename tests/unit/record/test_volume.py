@@ -12,8 +12,8 @@ import tifffile
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
 
-from annulus.record.volume import open_volume
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.volume import open_volume
+from annulus_pipe.vocabulary import AnnulusError
 
 GREY = np.random.default_rng(1).integers(0, 4000, (7, 12, 10)).astype(np.uint16)
 SIZES = (0.4, 0.3, 0.2)

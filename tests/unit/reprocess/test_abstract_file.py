@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus.reprocess.abstract_file import _digest, packed, unpacked
-from annulus.wall import survey
-from annulus.wall.joined import Abstract, abstract
-from annulus.wall.windows import Reach, Window, plan
+from annulus_pipe.reprocess.abstract_file import _digest, packed, unpacked
+from annulus_pipe.wall import survey
+from annulus_pipe.wall.joined import Abstract, abstract
+from annulus_pipe.wall.windows import Reach, Window, plan
 
 ABOUT = {"made_from": "0123", "files": {"windows/0001/cloud.ply": "ab"}}
 
@@ -63,12 +63,12 @@ def test_what_was_altered_is_not_read_or_says_the_same(data: bytes, where: float
     "tree",
     [
         {"of": "os:system", "fields": ["true"]},
-        {"of": "annulus.wall.joined:abstract", "fields": []},
-        {"of": "annulus.cli:app", "fields": []},
-        {"of": "annulus.wall.joined:Abstract", "fields": []},
-        {"of": "annulus.wall.windows:Window", "fields": [0.0, 1.0, {"row": []}, 0]},
+        {"of": "annulus_pipe.wall.joined:abstract", "fields": []},
+        {"of": "annulus_pipe.cli:app", "fields": []},
+        {"of": "annulus_pipe.wall.joined:Abstract", "fields": []},
+        {"of": "annulus_pipe.wall.windows:Window", "fields": [0.0, 1.0, {"row": []}, 0]},
         {"array": 7},
-        {"enum": "annulus.wall.defects:Kind", "is": "no such"},
+        {"enum": "annulus_pipe.wall.defects:Kind", "is": "no such"},
         {"row": "ab"},
         7,
         json.loads('{"row": [' * 60 + "1" + "]}" * 60),

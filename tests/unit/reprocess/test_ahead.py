@@ -6,23 +6,23 @@ from pathlib import Path
 import pytest
 from numba.core.registry import CPUDispatcher
 
-from annulus.geometry.calibration import Calibration
-from annulus.numeric import compiling
-from annulus.reprocess import ahead, open_job, reprocess
-from annulus.reprocess.ahead import compile_all, make_ready, work_of
-from annulus.twin.scan import write_scan
-from annulus.twin.worlds import World, demo_world, stereo_world
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.numeric import compiling
+from annulus_pipe.reprocess import ahead, open_job, reprocess
+from annulus_pipe.reprocess.ahead import compile_all, make_ready, work_of
+from annulus_pipe.twin.scan import write_scan
+from annulus_pipe.twin.worlds import World, demo_world, stereo_world
 from tests import kept
 
 
 def compiled() -> set[tuple[str, str]]:
     """Kernels of this project that this process has, by name and types."""
-    modules = [module for name, module in sys.modules.items() if name.startswith("annulus.")]
+    modules = [module for name, module in sys.modules.items() if name.startswith("annulus_pipe.")]
     kernels = [one for module in modules for one in vars(module).values() if isinstance(one, CPUDispatcher)]
     return {
         (f"{one.py_func.__module__}.{one.py_func.__name__}", str(signature))
         for one in kernels
-        if not one.py_func.__module__.startswith("annulus.twin.")
+        if not one.py_func.__module__.startswith("annulus_pipe.twin.")
         for signature in one.signatures
     }
 

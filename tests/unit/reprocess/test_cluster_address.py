@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from annulus.cli.reprocess import folders
-from annulus.reprocess.cluster import Dask, Tls
-from annulus.reprocess.executors import in_process
-from annulus.reprocess.versions import differing, measured_with
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli.reprocess import folders
+from annulus_pipe.reprocess.cluster import Dask, Tls
+from annulus_pipe.reprocess.executors import in_process
+from annulus_pipe.reprocess.versions import differing, measured_with
+from annulus_pipe.vocabulary import AnnulusError
 
 FILES = Tls(Path("ca.pem"), Path("cert.pem"), Path("key.pem"))
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from toil import Toil
 
-from annulus.reprocess import cluster
-from annulus.reprocess.cluster import Dask
+from annulus_pipe.reprocess import cluster
+from annulus_pipe.reprocess.cluster import Dask
 
 ITEMS = 20
 

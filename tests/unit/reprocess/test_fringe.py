@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus.calibrate.fringe import calibrate_fringe, save_fringe
-from annulus.calibrate.fringe_pipe import _design
-from annulus.cli import main
-from annulus.fringe import projector_to_dict
-from annulus.geometry.calibration import Calibration, HeadCamera, camera_to_dict
-from annulus.report import Account, write_plate
-from annulus.reprocess import fringe as module
-from annulus.reprocess import fringes_on, open_fringe, open_job, reconstruct_fringe
-from annulus.vocabulary import AnnulusError
-from annulus.wall.plate import Plate
+from annulus_pipe.calibrate.fringe import calibrate_fringe, save_fringe
+from annulus_pipe.calibrate.fringe_pipe import _design
+from annulus_pipe.cli import main
+from annulus_pipe.fringe import projector_to_dict
+from annulus_pipe.geometry.calibration import Calibration, HeadCamera, camera_to_dict
+from annulus_pipe.report import Account, write_plate
+from annulus_pipe.reprocess import fringe as module
+from annulus_pipe.reprocess import fringes_on, open_fringe, open_job, reconstruct_fringe
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.plate import Plate
 
 PLACES = (0.0, 1.0, 2.1, 3.0, 3.9, 5.2, 6.1, 7.0)
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from bores import LENS, RADIUS_MM, SLIDE
 
-from annulus.calibrate import fringe_pipe as calibrate
-from annulus.calibrate.fringe_pipe import calibrate_fringe_pipe
-from annulus.fringe import PipeCalibration, PipeMap, projector_to_dict
-from annulus.fringe.bore import TERMS
-from annulus.fringe.placement import Head
-from annulus.geometry.calibration import camera_to_dict
-from annulus.report import Account, write
-from annulus.reprocess import fringe_pipe as module
-from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
-from annulus.vocabulary import AnnulusError
-from annulus.wall.defects import Kind
+from annulus_pipe.calibrate import fringe_pipe as calibrate
+from annulus_pipe.calibrate.fringe_pipe import calibrate_fringe_pipe
+from annulus_pipe.fringe import PipeCalibration, PipeMap, projector_to_dict
+from annulus_pipe.fringe.bore import TERMS
+from annulus_pipe.fringe.placement import Head
+from annulus_pipe.geometry.calibration import camera_to_dict
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import fringe_pipe as module
+from annulus_pipe.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.defects import Kind
 
 STEP = RADIUS_MM / 200
 HEAD = {"id": 0, **camera_to_dict(LENS.camera), "rotation": LENS.rotation, "translation_mm": LENS.translation_mm}

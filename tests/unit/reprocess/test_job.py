@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION
 
-from annulus.cli import main
-from annulus.record.calibration_file import save_calibration
-from annulus.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import main
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
+from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES = 20
 
@@ -77,7 +77,9 @@ def test_nothing_is_computed_when_the_output_is_a_file(
 ) -> None:
     out, calibration = scan.parent / "out", scan.parent / "calibration.json"
     out.write_text("mine")
-    monkeypatch.setattr("annulus.reprocess.reprocess", lambda *_: pytest.fail("worked before looking at the output"))
+    monkeypatch.setattr(
+        "annulus_pipe.reprocess.reprocess", lambda *_: pytest.fail("worked before looking at the output")
+    )
     monkeypatch.setattr(
         "sys.argv", ["annulus", "reconstruct", str(scan), "--calibration", str(calibration), "-o", str(out)]
     )

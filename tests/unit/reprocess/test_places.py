@@ -1,8 +1,8 @@
 """Promises about places that nobody counted: they are said, never merged in silence."""
 
-from annulus.record.scan import ScanFrame
-from annulus.reprocess.places import place_findings
-from annulus.vocabulary import Label
+from annulus_pipe.record.scan import ScanFrame
+from annulus_pipe.reprocess.places import place_findings
+from annulus_pipe.vocabulary import Label
 
 
 def frame(index: int, z_mm: float, bound_mm: float = 0.0, segment: int = 0, label: Label = Label.LED) -> ScanFrame:

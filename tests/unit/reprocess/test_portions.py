@@ -7,19 +7,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from annulus.geometry.drift import Drift
-from annulus.geometry.pose import Pose
-from annulus.record.scan import Scan, ScanFrame
-from annulus.record.storage import Place
-from annulus.reprocess import Processes, whole
-from annulus.reprocess.cluster import Dask, packed
-from annulus.reprocess.ranges import Facts
-from annulus.reprocess.whole import Filed
-from annulus.reprocess.windows import Portion, Portions, WindowWork
-from annulus.rings.diagnosis import Exposure
-from annulus.vocabulary import Label
-from annulus.wall.scale import AbsoluteScale
-from annulus.wall.windows import Plan, Window
+from annulus_pipe.geometry.drift import Drift
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.record.scan import Scan, ScanFrame
+from annulus_pipe.record.storage import Place
+from annulus_pipe.reprocess import Processes, whole
+from annulus_pipe.reprocess.cluster import Dask, packed
+from annulus_pipe.reprocess.ranges import Facts
+from annulus_pipe.reprocess.whole import Filed
+from annulus_pipe.reprocess.windows import Portion, Portions, WindowWork
+from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.vocabulary import Label
+from annulus_pipe.wall.scale import AbsoluteScale
+from annulus_pipe.wall.windows import Plan, Window
 
 OF = 100  # frames of a range, and of a window, whose halo has 20 of each neighbour
 PORTION_MOST = 60_000  # bytes; about 24 000

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.reprocess.profile_file import packed, unpacked
-from annulus.reprocess.versions import address
-from annulus.vocabulary import AnnulusError
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.reprocess.profile_file import packed, unpacked
+from annulus_pipe.reprocess.versions import address
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.profile import Profile
 
 RNG = np.random.default_rng(5)
 

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from synthetic_pipe import NOISE_MM, RADIUS_MM, THETA_FULL_DEG, VERTEX_Z_MM
 
-from annulus.geometry.pose import Pose
-from annulus.wall.centreline import Centreline
-from annulus.wall.pose import fit_pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.centreline import Centreline
+from annulus_pipe.wall.pose import fit_pose
+from annulus_pipe.wall.profile import Profile
 
 DIRECTIONS = 360
 Departure = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (clock degrees, chainage mm) -> mm outwards

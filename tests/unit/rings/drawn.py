@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
 from tests import kept
 
 PIPE_MM = 76.2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.wall.grid import Observations, Wall
+from annulus_pipe.wall.grid import Observations, Wall
 
 RADIUS_MM = 76.2
 

@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from synthetic_pipe import CALIBRATION, NOISE_MM, RADIUS_MM, turn
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.cone import Cone, intersect_cone
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import WALL_TOLERANCE
-from annulus.wall.pose import fit_pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.cone import Cone, intersect_cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import WALL_TOLERANCE
+from annulus_pipe.wall.pose import fit_pose
+from annulus_pipe.wall.profile import Profile
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (x, z) mm, pipe frame turned upright -> y of the surface
 Shape = Callable[[np.ndarray], np.ndarray]  # clock degrees -> radius of the wall, mm

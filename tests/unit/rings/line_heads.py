@@ -5,13 +5,13 @@ import math
 import cv2
 import numpy as np
 
-from annulus.geometry.cone import Cone
-from annulus.record.codec import to_bgr
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World
-from annulus.twin.worlds.features import Feature
-from annulus.twin.worlds.pipes import demo_rods, pinhole_camera
-from annulus.twin.worlds.sensor_head import Projector
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World
+from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.pipes import demo_rods, pinhole_camera
+from annulus_pipe.twin.worlds.sensor_head import Projector
 
 RED = (1.0, 0.06, 0.03)
 AXIS = (math.sin(math.radians(0.6)), 0.0, math.cos(math.radians(0.6)))

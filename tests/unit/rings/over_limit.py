@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from synthetic_pipe import NOISE_MM, RADIUS_MM, RadiusMap, oval, pocket, round_pipe, scan, turn
 
-from annulus.geometry.pose import Pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.profile import Profile
 
 LIMITS = {
     "pocket": "[[loss]]\nseverity = 3\ndepth_mm = 2.0\n",

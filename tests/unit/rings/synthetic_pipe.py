@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.profile import Profile
 
 RADIUS_MM = 76.2
 THETA_FULL_DEG = (37.9, 42.4, 47.5, 52.8, 57.7)

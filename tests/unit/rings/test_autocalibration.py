@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
-from annulus.rings.calibration.cross_validation import hold_out, measure
-from annulus.rings.calibration.observations import Observations, observe
-from annulus.rings.polar import ring_pixels
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.corrections import fit_corrections, ring_corrections
+from annulus_pipe.rings.calibration.cross_validation import hold_out, measure
+from annulus_pipe.rings.calibration.observations import Observations, observe
+from annulus_pipe.rings.polar import ring_pixels
+from annulus_pipe.vocabulary import AnnulusError
 
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 832.0, 616.0)
 FISHEYE = Camera("fisheye", 1664, 1232, 520.0, 520.0, 810.0, 630.0, (0.02, -0.01, 0.002, 0.0))

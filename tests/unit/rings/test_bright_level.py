@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from annulus.rings.pedestal import _bright, _under_stripes
+from annulus_pipe.rings.pedestal import _bright, _under_stripes
 
 
 @pytest.mark.parametrize("seed", range(6))

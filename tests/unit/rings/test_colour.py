@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from annulus.rings.colour import ColourProfile, Stripes, differs, learn
-from annulus.rings.decode import classify
+from annulus_pipe.rings.colour import ColourProfile, Stripes, differs, learn
+from annulus_pipe.rings.decode import classify
 
 # what red, green, blue pixels see of a red, green, blue stripe: filters leak, the pipe swallows blue
 LEAKY = np.array([[1.0, 0.10, 0.04], [0.12, 1.0, 0.15], [0.05, 0.22, 0.8]])

@@ -3,8 +3,8 @@
 import numpy as np
 from drawn import calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings.calibration.contours import follow, wide_grid
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.calibration.contours import follow, wide_grid
 
 
 def test_slits_beside_over_exposed_stripes_go_where_enough_of_their_ring_is_left() -> None:

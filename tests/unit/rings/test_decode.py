@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus_pipe.rings.decode import NONE, UNKNOWN, classify, decode, readings
 
 PATTERNS = ("RRGBGR", "RRRGRBRGGGBB", "RGBRBGRRBBGG")
 FIRST_PX, SPACING_PX, PIPE_MM = 200.0, 40.0, 76.2

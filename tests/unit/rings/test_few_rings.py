@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from drawn import PIPE_MM, Paint, calibration, draw
 
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
 
 POSE = Pose(np.radians(1.2), np.radians(-0.9), 2.0, -1.5)
 PAINT = Paint(supersample=1, noise=1.5)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.rings.calibration.reference import Reference
-from annulus.rings.colour import Stripes, differs, learn
-from annulus.rings.diagnosis import Exposure, reference_findings
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.calibration.reference import Reference
+from annulus_pipe.rings.colour import Stripes, differs, learn
+from annulus_pipe.rings.diagnosis import Exposure, reference_findings
 
 
 @pytest.mark.parametrize(("bright", "dark"), [(13.5, True), (14.5, False)])

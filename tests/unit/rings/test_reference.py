@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM
 
-from annulus.geometry.cone import intersect_cone
-from annulus.geometry.pose import Pose
-from annulus.rings.calibration.reference import Reference, learn
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.cone import intersect_cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.calibration.reference import Reference, learn
+from annulus_pipe.wall.profile import Profile
 
 
 def artefact(k, azimuth):

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.record.codec import to_bgr
-from annulus.record.scan import open_scan
-from annulus.reprocess.job import roll_filled
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.score import score_cloud
-from annulus.twin.worlds import Feature, World, clean_world
-from annulus.vocabulary import AnnulusError
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
-from annulus.wall.texture import pose_at
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.reprocess.job import roll_filled
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import score_cloud
+from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.registration import register
+from annulus_pipe.wall.texture import pose_at
 
 
 def test_a_head_turned_clockwise_sees_three_o_clock_where_its_own_up_is():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.wall.profile import Profile
 from tests.unit.rings.drawn import Paint, calibration, draw
 
 POSES = [Pose(0.02, -0.01, 1.5, -2.0), Pose(-0.03, 0.02, -3.0, 1.0), Pose()]

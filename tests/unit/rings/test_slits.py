@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from drawn import calibration
 
-from annulus.geometry.cone import intersect_cone
-from annulus.geometry.pose import Pose
-from annulus.rings.polar import RAY_STEP_PX, polar_grid, ring_pixels, unroll
-from annulus.rings.slits import find_slits
-from annulus.rings.triangulate import GRAZING, meet_rings, ring_optics
+from annulus_pipe.geometry.cone import intersect_cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.polar import RAY_STEP_PX, polar_grid, ring_pixels, unroll
+from annulus_pipe.rings.slits import find_slits
+from annulus_pipe.rings.triangulate import GRAZING, meet_rings, ring_optics
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.link.messages import Edge
-from annulus.selftest.rig import wire
-from annulus.selftest.rig.board import Played
-from annulus.selftest.rig.on_rig import origin_of
-from annulus.selftest.rig.recording import merged, play_list, samples, track
-from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.link.messages import Edge
+from annulus_pipe.selftest.rig import wire
+from annulus_pipe.selftest.rig.board import Played
+from annulus_pipe.selftest.rig.on_rig import origin_of
+from annulus_pipe.selftest.rig.recording import merged, play_list, samples, track
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 from tools.pictures import rig as picture
 
 HEADER = Path(__file__).resolve().parents[3] / "firmware/rig/wire.h"

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from annulus.link.client import Client
-from annulus.link.codec import TO_CONTROLLER, Decoder
-from annulus.link.messages import Arm, ArmFlag, Commit, StateFlag, Status, StatusReply
-from annulus.link.stage import stage_from_us
-from annulus.selftest.promise import Verdict
-from annulus.selftest.run import run_selftest
-from annulus.testing.heads import ScriptedHead, SimulatedHead
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.codec import TO_CONTROLLER, Decoder
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, StateFlag, Status, StatusReply
+from annulus_pipe.link.stage import stage_from_us
+from annulus_pipe.selftest.promise import Verdict
+from annulus_pipe.selftest.run import run_selftest
+from annulus_pipe.testing.heads import ScriptedHead, SimulatedHead
+from annulus_pipe.vocabulary import AnnulusError
 
 STEP_TO_SYNC = (8, 2)
 
 
 def annulus(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-c", "from annulus.cli import main; main()", "head", "selftest", *arguments]
+    command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "head", "selftest", *arguments]
     return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
 
 
@@ -45,7 +45,7 @@ def test_nothing_fires_before_somebody_says_that_all_is_unplugged() -> None:
 
 def test_a_broken_promise_is_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     """A board whose lamps come 9 ticks after what is expected of it."""
-    monkeypatch.setattr("annulus.selftest.lamps.LATENCY", {"native": 9, "rp2040": 9})
+    monkeypatch.setattr("annulus_pipe.selftest.lamps.LATENCY", {"native": 9, "rp2040": 9})
     with SimulatedHead(wires=(STEP_TO_SYNC,)) as head:
         test = run_selftest(head.url, name="", edges=40, move_wire=lambda _: False)
     broken = [row.what for row in test.rows if row.verdict is Verdict.BROKEN]

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from annulus.sensors.digitizer import Acquisition, DigitizerLostError, ScopeDigitizer, TriggerLostError
-from annulus.twin.acoustic import scope as twin
-from annulus.twin.acoustic.scope import Scope
-from annulus.twin.line import TcpLine
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.sensors.digitizer import Acquisition, DigitizerLostError, ScopeDigitizer, TriggerLostError
+from annulus_pipe.twin.acoustic import scope as twin
+from annulus_pipe.twin.acoustic.scope import Scope
+from annulus_pipe.twin.line import TcpLine
+from annulus_pipe.vocabulary import AnnulusError
 
 WANTED = Acquisition(rate_hz=10e6, duration_s=64e-6, range_v=0.4, averages=4, delay_s=2e-6)
 

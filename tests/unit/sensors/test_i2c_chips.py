@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.sensors.fdc2214 import Ads1115, Fdc2214, Tank
-from annulus.sensors.i2c import BACK_OFF_S, TRIES, I2cError, I2cSensors
-from annulus.sensors.imu import Mpu6050
-from annulus.sensors.ina226 import Ina226, Rail
-from annulus.twin.i2c_chips import TwinBus, ads1115, fdc2214, ina226, mpu6050
+from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
+from annulus_pipe.sensors.i2c import BACK_OFF_S, TRIES, I2cError, I2cSensors
+from annulus_pipe.sensors.imu import Mpu6050
+from annulus_pipe.sensors.ina226 import Ina226, Rail
+from annulus_pipe.twin.i2c_chips import TwinBus, ads1115, fdc2214, ina226, mpu6050
 
 TANK = Tank()
 

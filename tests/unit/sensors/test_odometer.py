@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.sensors.odometer import EXPECT_NS, MAX_SPEED_MM_S, SAMPLE_NS, Odometer, Place
-from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+from annulus_pipe.sensors.odometer import EXPECT_NS, MAX_SPEED_MM_S, SAMPLE_NS, Odometer, Place
+from annulus_pipe.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 PERIOD = 40_000_000
 

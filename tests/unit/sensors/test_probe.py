@@ -10,9 +10,9 @@ import msgpack
 import pytest
 import zmq
 
-from annulus.sensors import probe as rooms
-from annulus.sensors.probe import ProbeLostError, SampleProbe, VisaProbe
-from annulus.sensors.sample import Sample
+from annulus_pipe.sensors import probe as rooms
+from annulus_pipe.sensors.probe import ProbeLostError, SampleProbe, VisaProbe
+from annulus_pipe.sensors.sample import Sample
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ import msgpack
 import pytest
 import zmq
 
-from annulus.sensors.remote import SAMPLE_MAX, SENSORS_MAX, RemoteSensors
-from annulus.sensors.sample import Sample
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.sensors.remote import SAMPLE_MAX, SENSORS_MAX, RemoteSensors
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class Server:

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from annulus.sensors.roll import NEAR_NS, Roll
+from annulus_pipe.sensors.roll import NEAR_NS, Roll
 
 MS = 1_000_000
 

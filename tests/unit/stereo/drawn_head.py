@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration, HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, intersect_cylinder
-from annulus.geometry.pose import Pose, rotation_y, rotation_z
+from annulus_pipe.geometry.calibration import Calibration, HeadCamera
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, intersect_cylinder
+from annulus_pipe.geometry.pose import Pose, rotation_y, rotation_z
 
 RADIUS_MM = 76.2
 THETA_FULL_DEG = (56.458, 63.551, 70.996, 77.069, 84.677, 92.011, 99.069)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from drawn_head import COLOURS, RADIUS_MM, head
 
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose, pose_of
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.observations import Observations, joined, observe
-from annulus.rings.polar import ring_pixels
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose, pose_of
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.observations import Observations, joined, observe
+from annulus_pipe.rings.polar import ring_pixels
+from annulus_pipe.vocabulary import AnnulusError
 
 LEAN = math.radians(11.0)
 WAYS = ((1, 1, 12, 12), (-1, -1, -12, -12), (1, -1, 12, -12), (-1, 1, -12, 12), (0, 1.2, 0, 15), (1.2, 0, 15, 0))

@@ -7,10 +7,10 @@ import pytest
 from drawn_head import RADIUS_MM, head
 from numpy.typing import NDArray
 
-from annulus.stereo.merge import EDGE, KNOWN, Merged, Sight, merge
-from annulus.stereo.points import to_pipe
-from annulus.stereo.reconstructor import generators, usual_pose
-from annulus.stereo.view import view_of
+from annulus_pipe.stereo.merge import EDGE, KNOWN, Merged, Sight, merge
+from annulus_pipe.stereo.points import to_pipe
+from annulus_pipe.stereo.reconstructor import generators, usual_pose
+from annulus_pipe.stereo.view import view_of
 
 NOISE_PX, MOST_MM = 0.03, 1.5
 HEAD = head()

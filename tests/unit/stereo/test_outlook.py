@@ -8,10 +8,10 @@ import pytest
 from drawn_head import RADIUS_MM, head
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.record.calibration_file import save_calibration
-from annulus.stereo.outlook import outlook
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.stereo.outlook import outlook
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_one_camera_fails_at_its_tangents_and_both_nowhere() -> None:

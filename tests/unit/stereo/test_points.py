@@ -3,10 +3,10 @@
 import numpy as np
 from drawn_head import RADIUS_MM, head
 
-from annulus.geometry.pose import Pose
-from annulus.stereo.merge import Merged
-from annulus.stereo.points import known, outwards, radius_sigma, to_pipe
-from annulus.stereo.reconstructor import generators
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.stereo.merge import Merged
+from annulus_pipe.stereo.points import known, outwards, radius_sigma, to_pipe
+from annulus_pipe.stereo.reconstructor import generators
 
 POSE = Pose(0.02, -0.03, -6.9, -9.1)
 

@@ -7,10 +7,10 @@ import pytest
 from drawn_head import RADIUS_MM, draw, head
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import Pose
-from annulus.stereo import TWO_WALLS, StereoReconstructor, swapped
-from annulus.vocabulary import AnnulusError
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.stereo import TWO_WALLS, StereoReconstructor, swapped
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.profile import Profile
 
 POSE = Pose(0.02, -0.03, -6.9, -9.1)
 Images = dict[int, NDArray[np.uint8]]

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 import pytest
 import zmq
 
-from annulus.stream import access
-from annulus.stream.access import connected
+from annulus_pipe.stream import access
+from annulus_pipe.stream.access import connected
 
 
 class Relay:

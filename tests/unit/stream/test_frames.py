@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import Label
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import Label
 
 HEADERS = st.builds(
     FrameHeader,

@@ -12,10 +12,10 @@ from statistics import median
 import pytest
 import zmq
 
-from annulus.stream import publish
-from annulus.stream.access import Doorkeeper, Keys, is_loopback
-from annulus.stream.publish import LOOK_S, PATIENCE_S, STUCK_S, VIEWER_QUEUE, Publisher, parse
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.stream import publish
+from annulus_pipe.stream.access import Doorkeeper, Keys, is_loopback
+from annulus_pipe.stream.publish import LOOK_S, PATIENCE_S, STUCK_S, VIEWER_QUEUE, Publisher, parse
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
-from annulus.vocabulary import Label
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.ring import FrameRing, Overwritten, Place, RingView
+from annulus_pipe.vocabulary import Label
 
 
 def left_in_shm() -> set[str]:

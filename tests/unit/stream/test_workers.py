@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import zmq
 
-from annulus.stream import workers
-from annulus.stream.frames import FrameHeader
-from annulus.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
-from annulus.stream.ring import FrameRing
-from annulus.stream.workers import HUNG_S, Shared, WorkerKind, WorkerPool
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.stream import workers
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
+from annulus_pipe.stream.ring import FrameRing
+from annulus_pipe.stream.workers import HUNG_S, Shared, WorkerKind, WorkerPool
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
 

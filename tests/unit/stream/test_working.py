@@ -5,8 +5,8 @@ import sys
 
 TOLD = """
 import gc
-import annulus.daemon.run
-from annulus.stream.working import leave_uncollected
+import annulus_pipe.daemon.run
+from annulus_pipe.stream.working import leave_uncollected
 before = len(gc.get_objects())
 leave_uncollected()
 print(before, gc.get_freeze_count(), len(gc.get_objects()))

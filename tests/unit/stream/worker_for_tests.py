@@ -6,8 +6,8 @@ import sys
 import time
 from typing import Any
 
-from annulus.stream.working import serve
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.stream.working import serve
+from annulus_pipe.vocabulary import AnnulusError
 
 
 class Obedient:

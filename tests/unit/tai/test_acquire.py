@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.controller import CODES
-from annulus.link import operate
-from annulus.link.client import Client
-from annulus.link.messages import FaultCode
-from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
-from annulus.sensors.digitizer import ScopeDigitizer
-from annulus.tai.acquire import Acquired, Plan, acquire, stalled
-from annulus.tai.decode import sweep_of
-from annulus.thermoacoustic.codes import Train
-from annulus.thermoacoustic.phantoms import Disc
-from annulus.thermoacoustic.sweep import examine
-from annulus.twin.acoustic.phantom import RigSetup
-from annulus.twin.acoustic.receiver import Receiver
-from annulus.twin.acoustic.rig import AcousticRig
-from annulus.twin.acoustic.scope import Scope
-from annulus.twin.native import NativeBoard
-from annulus.twin.real_time import serving
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.controller import CODES
+from annulus_pipe.link import operate
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import FaultCode
+from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
+from annulus_pipe.sensors.digitizer import ScopeDigitizer
+from annulus_pipe.tai.acquire import Acquired, Plan, acquire, stalled
+from annulus_pipe.tai.decode import sweep_of
+from annulus_pipe.thermoacoustic.codes import Train
+from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.thermoacoustic.sweep import examine
+from annulus_pipe.twin.acoustic.phantom import RigSetup
+from annulus_pipe.twin.acoustic.receiver import Receiver
+from annulus_pipe.twin.acoustic.rig import AcousticRig
+from annulus_pipe.twin.acoustic.scope import Scope
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.twin.real_time import serving
+from annulus_pipe.vocabulary import AnnulusError
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0), Disc(-3.0, 2.0, 0.7, 0.8))
 PLAN = Plan(positions=5, averages=2, radius_mm=9.0, range_v=0.08, steps_per_turn=40, step_us=100.0, period_us=500.0)
@@ -235,7 +235,7 @@ def test_another_code_than_was_asked_for_is_heard(rig: Rig, monkeypatch: pytest.
     def wrong(code: str, train: Train):
         return operate.train_messages("barker13", train)
 
-    monkeypatch.setattr("annulus.tai.acquire.train_messages", wrong)
+    monkeypatch.setattr("annulus_pipe.tai.acquire.train_messages", wrong)
     done = rig.acquire(replace(PLAN, positions=3, averages=8))
     assert done.findings == ("mpsl25-stuffed was asked for, but it sounds like barker13",)
 

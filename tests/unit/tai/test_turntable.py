@@ -5,18 +5,18 @@ from collections.abc import Iterator
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.link import operate
-from annulus.link.client import Client
-from annulus.link.messages import Move, StopCause, TurntableStop, TurntableStopped
-from annulus.thermoacoustic.phantoms import Disc
-from annulus.twin.acoustic.phantom import RigSetup
-from annulus.twin.acoustic.receiver import Receiver
-from annulus.twin.acoustic.rig import AcousticRig
-from annulus.twin.acoustic.scope import Scope
-from annulus.twin.native import NativeBoard
-from annulus.twin.real_time import serving
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.link import operate
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Move, StopCause, TurntableStop, TurntableStopped
+from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.twin.acoustic.phantom import RigSetup
+from annulus_pipe.twin.acoustic.receiver import Receiver
+from annulus_pipe.twin.acoustic.rig import AcousticRig
+from annulus_pipe.twin.acoustic.scope import Scope
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.twin.real_time import serving
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,16 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import annulus.testing
-from annulus.controller import PIN_LED
-from annulus.link import operate
-from annulus.link.client import Client
-from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Ping
-from annulus.link.session import EventReceived, EventsLost
-from annulus.link.stage import stage_from_us
-from annulus.testing.heads import ScriptedHead, SimulatedHead
+import annulus_pipe.testing
+from annulus_pipe.controller import PIN_LED
+from annulus_pipe.link import operate
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Ping
+from annulus_pipe.link.session import EventReceived, EventsLost
+from annulus_pipe.link.stage import stage_from_us
+from annulus_pipe.testing.heads import ScriptedHead, SimulatedHead
 
-PAGE = Path(annulus.testing.__file__).with_name("README.md")
+PAGE = Path(annulus_pipe.testing.__file__).with_name("README.md")
 STAGE = stage_from_us(
     ratio=0, period_us=20000, exposure_us=19000, readout_us=10000, projector_us=(0, 0), led_us=(2000, 1000)
 )
@@ -43,15 +43,15 @@ def test_the_pages_example_runs_as_it_stands(tmp_path: Path) -> None:
 
 def test_the_plugin_imports_nothing_of_ours_before_a_test_asks() -> None:
     code = (
-        "import sys, annulus.testing.plugin;"
-        "print([m for m in sys.modules if m.split('.')[0] in ('annulus', 'numpy', 'serial')])"
+        "import sys, annulus_pipe.testing.plugin;"
+        "print([m for m in sys.modules if m.split('.')[0] in ('annulus_pipe', 'numpy', 'serial')])"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.strip() == "['annulus', 'annulus.testing', 'annulus.testing.plugin']"
+    assert said.strip() == "['annulus_pipe', 'annulus_pipe.testing', 'annulus_pipe.testing.plugin']"
 
 
 def test_heads_need_no_pytest() -> None:
-    code = "import sys; sys.modules['pytest'] = None; import annulus.testing.heads"
+    code = "import sys; sys.modules['pytest'] = None; import annulus_pipe.testing.heads"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

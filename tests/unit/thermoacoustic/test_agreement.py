@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.thermoacoustic.agreement import disagreeing, likelier_arrival, search_sound_speed
-from annulus.thermoacoustic.imaging import Region, back_projection
-from annulus.thermoacoustic.sweep import Sweep, band_passed
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.thermoacoustic.agreement import disagreeing, likelier_arrival, search_sound_speed
+from annulus_pipe.thermoacoustic.imaging import Region, back_projection
+from annulus_pipe.thermoacoustic.sweep import Sweep, band_passed
+from annulus_pipe.vocabulary import AnnulusError
 
 C, RADIUS, RATE = 1478.0, 25.0, 25e6
 ANGLES = np.arange(50) * 7.2

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli.burst import app
-from annulus.controller import CODES
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli.burst import app
+from annulus_pipe.controller import CODES
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def show(*arguments: str) -> str:

@@ -6,8 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.controller import (
+from annulus_pipe.cli import app
+from annulus_pipe.controller import (
     BURST_PERIOD_MAX_TICKS,
     BURST_PERIOD_MIN_TICKS,
     BURST_REPEAT_MAX,
@@ -22,12 +22,12 @@ from annulus.controller import (
     PIN_TRIGGER,
     TRIGGER_TICKS,
 )
-from annulus.link import messages
-from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Identify, Pattern, StatusCode
-from annulus.thermoacoustic.codes import Train, pattern, text
-from annulus.twin.native import NativeBoard
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.link import messages
+from annulus_pipe.link.codec import Decoder, Frame, encode
+from annulus_pipe.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Identify, Pattern, StatusCode
+from annulus_pipe.thermoacoustic.codes import Train, pattern, text
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.vocabulary import AnnulusError
 
 NAMES = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
 
@@ -221,7 +221,7 @@ def test_command_line_host_and_controller_have_one_limit(
     controller = Controller()
     controller.upload(pattern(bits))
     sent: list[Burst] = []
-    monkeypatch.setattr("annulus.link.operate.fire_burst", lambda port, own, burst: sent.append(burst) or {})
+    monkeypatch.setattr("annulus_pipe.link.operate.fire_burst", lambda port, own, burst: sent.append(burst) or {})
     for (chip, repeat, period, offset), ok in ((allowed, True), (beyond, False)):
         train = Train(pattern(bits), chip, repeat, period, offset)
         assert [f.name for f in train.findings() if not f.ok][:1] == ([] if ok else [what])

@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import simpson
 from scipy.special import j0
 
-from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers, rim, time_step_s
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.thermoacoustic.field import Grid, Medium, Solver, receivers, rim, time_step_s
+from annulus_pipe.vocabulary import AnnulusError
 
 C = 1500.0
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.controller import CODES
-from annulus.thermoacoustic.codes import pattern
-from annulus.thermoacoustic.search import best_on_off, least_peak_sidelobe, on_off_gain_db
-from annulus.thermoacoustic.templates import Transducer, decode, decode_pair, design, pair_correlation
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.controller import CODES
+from annulus_pipe.thermoacoustic.codes import pattern
+from annulus_pipe.thermoacoustic.search import best_on_off, least_peak_sidelobe, on_off_gain_db
+from annulus_pipe.thermoacoustic.templates import Transducer, decode, decode_pair, design, pair_correlation
+from annulus_pipe.vocabulary import AnnulusError
 
 CHIP = 0.5e-6
 

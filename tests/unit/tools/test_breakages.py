@@ -11,7 +11,7 @@ from tools.breakages import Bench, host_sources, noticed_by
 from tools.faults import Breakage, drawn
 
 SOURCE = {
-    "host/annulus/a.py": '''"""Not 1 < 2."""
+    "host/annulus_pipe/a.py": '''"""Not 1 < 2."""
 LIMIT: "1 + 1" = 3
 
 @cached(size=5)
@@ -27,9 +27,9 @@ def f(x: int = 4, y: "a < b" = None) -> "1 < 2":
 if __name__ == "__main__":
     f(1)
 ''',
-    "host/annulus/b.py": '"""Do not edit."""\nX = 1\n',
-    "host/annulus/link/messages.py": "X = 1\n",
-    "host/annulus/controller.py": "X = 1\n",
+    "host/annulus_pipe/b.py": '"""Do not edit."""\nX = 1\n',
+    "host/annulus_pipe/link/messages.py": "X = 1\n",
+    "host/annulus_pipe/controller.py": "X = 1\n",
 }
 NOW = {
     "4",
@@ -59,7 +59,7 @@ def test_every_fault_is_one_and_stands_where_code_is() -> None:
     assert {fault.now for fault in faults} == NOW
     for fault in faults:
         assert ast.dump(ast.parse(fault.source)) != ast.dump(ast.parse(SOURCE[fault.file]))
-        assert (fault.file, fault.room) == ("host/annulus/a.py", "a")
+        assert (fault.file, fault.room) == ("host/annulus_pipe/a.py", "a")
 
 
 def test_what_means_the_same_is_not_drawn() -> None:
@@ -69,8 +69,8 @@ def test_what_means_the_same_is_not_drawn() -> None:
 def test_the_hosts_own_sources_have_places_and_none_is_generated() -> None:
     sources = {name: text for name, text in host_sources().items() if name.count("/") == 2 or "/link/" in name}
     files = {fault.file for fault in drawn(sources, 7, 3)}
-    assert {"host/annulus/link/messages.py", "host/annulus/controller.py"} <= sources.keys()
-    assert files and not files & {"host/annulus/link/messages.py", "host/annulus/controller.py"}
+    assert {"host/annulus_pipe/link/messages.py", "host/annulus_pipe/controller.py"} <= sources.keys()
+    assert files and not files & {"host/annulus_pipe/link/messages.py", "host/annulus_pipe/controller.py"}
 
 
 @pytest.fixture
@@ -116,8 +116,8 @@ def test_a_fault_is_caught_or_survives_and_a_test_that_fails_anyway_has_noticed_
         return next((name for name in asked if names[name]), "")
 
     monkeypatch.setattr(breakages, "noticed_by", run)
-    fault = Breakage("host/annulus/a.py", 2, "2", now, f"def twice(x):\n    return x * {now}\n")
-    (bench.other / "host/annulus").mkdir(parents=True)
+    fault = Breakage("host/annulus_pipe/a.py", 2, "2", now, f"def twice(x):\n    return x * {now}\n")
+    (bench.other / "host/annulus_pipe").mkdir(parents=True)
     (bench.other / "a.py").rename(bench.other / fault.file)
     (bench.other / "a.py").symlink_to(bench.other / fault.file)
     assert bench.judged(fault) == verdict

@@ -93,8 +93,8 @@ def test_the_clients_page_quotes_no_number_of_the_benchmarks() -> None:
         for number in NUMBER.findall(cell)
     }
     assert len(measured) > 100
-    report = ROOT / "host/annulus/report"
-    for file in sorted([*report.glob("*.py"), *report.glob("*.j2"), ROOT / "host/annulus/wall/accuracy.py"]):
+    report = ROOT / "host/annulus_pipe/report"
+    for file in sorted([*report.glob("*.py"), *report.glob("*.j2"), ROOT / "host/annulus_pipe/wall/accuracy.py"]):
         text = file.read_text("utf-8")
         quoted = {number.replace(" ", "") for number in NUMBER.findall(text)} & measured
         assert not quoted, f"{file.name} quotes {quoted}"

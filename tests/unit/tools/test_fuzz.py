@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from annulus.record import recording
-from annulus.record.walk import Chunk
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record import recording
+from annulus_pipe.record.walk import Chunk
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.fuzz import targets
 from tools.bench.fuzz.run import fuzz, one
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from annulus.controller import LAMP_WIDTH_MAX_TICKS, MICROWAVE_PULSE_MAX_TICKS, TICK_HZ
+from annulus_pipe.controller import LAMP_WIDTH_MAX_TICKS, MICROWAVE_PULSE_MAX_TICKS, TICK_HZ
 from tools.hardware import __main__ as hardware
 from tools.hardware.oneshot import (
     CAPACITOR_LEAST_F,

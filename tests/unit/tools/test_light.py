@@ -31,7 +31,7 @@ def test_it_shares_no_light_with_the_other_drawer_the_twin_or_the_method() -> No
             names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
-                ours = name.startswith(("annulus", "tools", "tests"))
+                ours = name.startswith(("annulus_pipe", "tools", "tests"))
                 assert not ours or name.startswith("tools.light") or name in allowed, f"{path.name}: {name}"
 
 

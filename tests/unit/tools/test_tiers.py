@@ -67,7 +67,7 @@ def costs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_change_calls_for_its_own_room_first_then_those_above_and_never_those_below(costs: None) -> None:
-    far = touched.touched(["host/annulus/wall/axis.py"], touched.floors())
+    far = touched.touched(["host/annulus_pipe/wall/axis.py"], touched.floors())
     assert sorted(far, key=far.__getitem__) == [
         "tests/unit/wall/test_axis.py",
         "tests/unit/report/test_page.py",

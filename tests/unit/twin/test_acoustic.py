@@ -5,20 +5,20 @@ import functools
 import numpy as np
 import pytest
 
-from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S, TICKS_PER_US, TURNTABLE_LEAD_MS
-from annulus.link.messages import Arm, ArmFlag, Move
-from annulus.link.operate import train_messages
-from annulus.tai.simulate import Setup, simulate
-from annulus.thermoacoustic.codes import Train, pattern, train_from_us
-from annulus.thermoacoustic.phantoms import Disc
-from annulus.thermoacoustic.templates import decode, design
-from annulus.twin.acoustic.phantom import RigSetup
-from annulus.twin.acoustic.pins import fire, pulses_of
-from annulus.twin.acoustic.receiver import Receiver
-from annulus.twin.acoustic.rig import AcousticRig
-from annulus.twin.acoustic.scope import Scope
-from annulus.twin.native import NativeBoard
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S, TICKS_PER_US, TURNTABLE_LEAD_MS
+from annulus_pipe.link.messages import Arm, ArmFlag, Move
+from annulus_pipe.link.operate import train_messages
+from annulus_pipe.tai.simulate import Setup, simulate
+from annulus_pipe.thermoacoustic.codes import Train, pattern, train_from_us
+from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.thermoacoustic.templates import decode, design
+from annulus_pipe.twin.acoustic.phantom import RigSetup
+from annulus_pipe.twin.acoustic.pins import fire, pulses_of
+from annulus_pipe.twin.acoustic.receiver import Receiver
+from annulus_pipe.twin.acoustic.rig import AcousticRig
+from annulus_pipe.twin.acoustic.scope import Scope
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.vocabulary import AnnulusError
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
 BAND = (0.6e6, 0.7)
@@ -136,7 +136,7 @@ class _Wire:
     """A host that only tells, and goes on when time has passed."""
 
     def __init__(self, bench: AcousticRig) -> None:
-        from annulus.link.session import Session, identify
+        from annulus_pipe.link.session import Session, identify
 
         self.bench, self.session = bench, Session()
         self.tell(identify())

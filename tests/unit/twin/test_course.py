@@ -7,12 +7,12 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.twin.course import FAR_MM, InSpace, entry, passed, trace, tube_of
-from annulus.twin.worlds import WORLDS, World
-from annulus.twin.worlds.course import Course, Joint, Opening, Piece, across
-from annulus.twin.worlds.fittings import FITTINGS
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.twin.course import FAR_MM, InSpace, entry, passed, trace, tube_of
+from annulus_pipe.twin.worlds import WORLDS, World
+from annulus_pipe.twin.worlds.course import Course, Joint, Opening, Piece, across
+from annulus_pipe.twin.worlds.fittings import FITTINGS
+from annulus_pipe.vocabulary import AnnulusError
 
 R = 76.2
 AXIS = (0.0, 0.0, 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from annulus.twin.draws import BLOCK, Draws
+from annulus_pipe.twin.draws import BLOCK, Draws
 
 
 @pytest.mark.parametrize("seed", [0, 1000, (1 << 32) - 1, 1 << 32])

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus.capture.timing import FrameTiming
-from annulus.twin.driver import BUFFERS, LAG_US, Delivered, Driver
-from annulus.twin.faults import Faults
-from annulus.twin.image_sensor import HostClock, ImageSensor
-from annulus.twin.profiles import FIRST, PROFILES, load_faults
-from annulus.twin.worlds import clean_world
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.twin.driver import BUFFERS, LAG_US, Delivered, Driver
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.image_sensor import HostClock, ImageSensor
+from annulus_pipe.twin.profiles import FIRST, PROFILES, load_faults
+from annulus_pipe.twin.worlds import clean_world
 
 TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 WORLD = clean_world().scaled(16)

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.fringe import FringeHead
-from annulus.geometry.cone import intersect_cylinder
-from annulus.numeric.arrays import FloatArray
-from annulus.record.scan import open_scan
-from annulus.twin.render import Renderer
-from annulus.twin.scan import write_scan
-from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
-from annulus.twin.worlds.sensor_head import Fringes
-from annulus.vocabulary import Label
+from annulus_pipe.fringe import FringeHead
+from annulus_pipe.geometry.cone import intersect_cylinder
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.scan import write_scan
+from annulus_pipe.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+from annulus_pipe.twin.worlds.sensor_head import Fringes
+from annulus_pipe.vocabulary import Label
 
 MODELS = pytest.mark.parametrize("make", [series_world, modules_world, mirror_fringe_world])
 

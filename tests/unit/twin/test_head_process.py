@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 import pytest
 
-from annulus.twin import process
-from annulus.twin.faults import NO_FAULTS
-from annulus.twin.head import head_timing, run_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.twin import process
+from annulus_pipe.twin.faults import NO_FAULTS
+from annulus_pipe.twin.head import head_timing, run_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.capture.timing import FrameTiming
-from annulus.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
-from annulus.twin.faults import Faults, LossyLine
-from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
-from annulus.twin.profiles import load_faults
-from annulus.twin.worlds import World, clean_world
-from annulus.vocabulary import AnnulusError, Lamp
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
+from annulus_pipe.twin.faults import Faults, LossyLine
+from annulus_pipe.twin.image_sensor import Exposure, HostClock, ImageSensor
+from annulus_pipe.twin.profiles import load_faults
+from annulus_pipe.twin.worlds import World, clean_world
+from annulus_pipe.vocabulary import AnnulusError, Lamp
 
 TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)  # window 2..12 ms after the edge
 WORLD = clean_world(travel_mm=50.0).scaled(104)

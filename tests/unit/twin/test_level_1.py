@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from annulus.controller import TURNTABLE_LEAD_MS
-from annulus.link.codec import Decoder, Frame
-from annulus.link.messages import (
+from annulus_pipe.controller import TURNTABLE_LEAD_MS
+from annulus_pipe.link.codec import Decoder, Frame
+from annulus_pipe.link.messages import (
     COMMANDS,
     EVENTS,
     Booted,
@@ -20,7 +20,7 @@ from annulus.link.messages import (
     StatusCode,
     TurntableDone,
 )
-from annulus.twin.native import NativeBoard
+from annulus_pipe.twin.native import NativeBoard
 
 BEFORE = Path(__file__).parents[2] / "data/before/level-1.json"
 MS = 100_000

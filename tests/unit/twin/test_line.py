@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 import serial
 
-from annulus.twin.line import Line, PtyLine, TcpLine
+from annulus_pipe.twin.line import Line, PtyLine, TcpLine
 
 
 def soon(is_so: Callable[[], bool]) -> bool:

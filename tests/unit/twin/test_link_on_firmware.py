@@ -4,13 +4,13 @@ import random
 
 import pytest
 
-from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
-from annulus.link.head import EdgeSeen, HeadControl
-from annulus.link.messages import Identify, Stage, StatusCode
-from annulus.link.phase import Phase
-from annulus.link.session import Answer, EventsLost, Rebooted
-from annulus.twin.native import NativeBoard
-from annulus.vocabulary import AnnulusError, Lamp
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
+from annulus_pipe.link.head import EdgeSeen, HeadControl
+from annulus_pipe.link.messages import Identify, Stage, StatusCode
+from annulus_pipe.link.phase import Phase
+from annulus_pipe.link.session import Answer, EventsLost, Rebooted
+from annulus_pipe.twin.native import NativeBoard
+from annulus_pipe.vocabulary import AnnulusError, Lamp
 
 MS = 100_000  # ticks
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)
@@ -98,8 +98,8 @@ def test_a_flash_that_does_not_fit_is_refused_by_the_controller_itself() -> None
 
 
 def test_the_firmware_of_another_schema_answers_but_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("annulus.link.session.SCHEMA_HASH", 0x12345678)
-    monkeypatch.setattr("annulus.link.problems.SCHEMA_HASH", 0x12345678)
+    monkeypatch.setattr("annulus_pipe.link.session.SCHEMA_HASH", 0x12345678)
+    monkeypatch.setattr("annulus_pipe.link.problems.SCHEMA_HASH", 0x12345678)
     rig = Rig(0, rate=0.0)
     rig.run(300)
     assert rig.head.phase is Phase.MISMATCH and "expected 1, 12345678" in rig.head.problem

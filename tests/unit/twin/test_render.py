@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.geometry.cone import intersect_cone
-from annulus.geometry.pose import Pose
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import Feature, World, clean_world, demo_world, fisheye_camera
+from annulus_pipe.geometry.cone import intersect_cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import Feature, World, clean_world, demo_world, fisheye_camera
 
 CLEAN = replace(clean_world(), rods=()).scaled(832)
 

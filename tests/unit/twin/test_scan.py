@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.codec import to_bgr
-from annulus.record.scan import open_scan
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.scan import world_named, write_scan
-from annulus.twin.score import score_cloud
-from annulus.twin.worlds import World, mirror_world
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.scan import world_named, write_scan
+from annulus_pipe.twin.score import score_cloud
+from annulus_pipe.twin.worlds import World, mirror_world
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 
 @pytest.fixture(scope="module")

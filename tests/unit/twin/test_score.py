@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from annulus.numeric.arrays import FloatArray
-from annulus.twin.score import score, score_cloud, score_defects
-from annulus.twin.worlds import Feature, clock_text, demo_world
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.twin.score import score, score_cloud, score_defects
+from annulus_pipe.twin.worlds import Feature, clock_text, demo_world
 
 WORLD = demo_world()
 

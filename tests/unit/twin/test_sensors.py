@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.controller import PIN_LED, PIN_PROJECTOR
-from annulus.sensors.sample import Sample
-from annulus.twin.cable import Cable
-from annulus.twin.faults import NO_FAULTS, Faults
-from annulus.twin.image_sensor import HostClock
-from annulus.twin.profiles import load_faults
-from annulus.twin.sensors import HeadSensors, Imu, Supply
-from annulus.twin.worlds import World, demo_world
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.controller import PIN_LED, PIN_PROJECTOR
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.cable import Cable
+from annulus_pipe.twin.faults import NO_FAULTS, Faults
+from annulus_pipe.twin.image_sensor import HostClock
+from annulus_pipe.twin.profiles import load_faults
+from annulus_pipe.twin.sensors import HeadSensors, Imu, Supply
+from annulus_pipe.twin.worlds import World, demo_world
+from annulus_pipe.vocabulary import AnnulusError
 
 S = 100_000_000  # ticks
 WORLD = replace(demo_world(), roll_deg=8.0)

@@ -3,11 +3,11 @@
 import pytest
 from typer.testing import CliRunner
 
-from annulus.cli import app
-from annulus.link.pins import pins_of
-from annulus.twin.faults import Faults
-from annulus.twin.soak import soak
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.cli import app
+from annulus_pipe.link.pins import pins_of
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.soak import soak
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets() -> None:

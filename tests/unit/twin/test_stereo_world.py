@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.scan import open_scan
-from annulus.twin.render import Renderer
-from annulus.twin.scan import world_named, write_scan
-from annulus.twin.worlds import World, stereo_world
-from annulus.vocabulary import AnnulusError, Label
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.scan import world_named, write_scan
+from annulus_pipe.twin.worlds import World, stereo_world
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 
 def places(world: World, ring: int, around: float, off: np.ndarray) -> np.ndarray:

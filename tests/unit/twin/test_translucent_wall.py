@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.translucency import edge_shift_mm, incidence_rad, slit_shift_mm
-from annulus.numeric.arrays import FloatArray
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, clean_world, mirror_world, series_world, stereo_world, translucent
-from annulus.twin.worlds.fittings import FITTINGS
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.translucency import edge_shift_mm, incidence_rad, slit_shift_mm
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World, clean_world, mirror_world, series_world, stereo_world, translucent
+from annulus_pipe.twin.worlds.fittings import FITTINGS
+from annulus_pipe.vocabulary import AnnulusError
 
 R = 76.2
 # px, sigma: the twin's lens and pixel (0.85), what demosaicing and the smoothing of lines add

@@ -1,11 +1,11 @@
 """A camera that takes a trigger exposes with it, and is not there without one."""
 
-from annulus.capture.timing import FrameTiming
-from annulus.controller import PIN_CAMERA_TRIGGER, PIN_LED
-from annulus.link.pins import AS_WIRED
-from annulus.twin.faults import Faults
-from annulus.twin.triggered import sensor_of
-from annulus.twin.worlds import clean_world
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.controller import PIN_CAMERA_TRIGGER, PIN_LED
+from annulus_pipe.link.pins import AS_WIRED
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.triggered import sensor_of
+from annulus_pipe.twin.worlds import clean_world
 
 MS = 100_000
 TIMING = FrameTiming(25.0, 20_000.0, 14_300.0)

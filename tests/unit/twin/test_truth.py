@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus.stream.frames import FrameHeader
-from annulus.twin.cable import Cable
-from annulus.twin.driver import Delivered, Part
-from annulus.twin.image_sensor import Exposure
-from annulus.twin.truth import Relock, Truth, Verdict, relocks
-from annulus.twin.worlds import clean_world
-from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.cable import Cable
+from annulus_pipe.twin.driver import Delivered, Part
+from annulus_pipe.twin.image_sensor import Exposure
+from annulus_pipe.twin.truth import Relock, Truth, Verdict, relocks
+from annulus_pipe.twin.worlds import clean_world
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 PERIOD = 4_000_000
 WORLD = clean_world()

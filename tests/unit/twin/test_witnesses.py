@@ -2,8 +2,8 @@
 
 import pytest
 
-from annulus.capture.proof import Witness
-from annulus.twin.witnesses import CASES, Case, compared
+from annulus_pipe.capture.proof import Witness
+from annulus_pipe.twin.witnesses import CASES, Case, compared
 
 
 def test_every_witness_has_a_case() -> None:

@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, intersect_cylinder
-from annulus.geometry.drift import Drift, drifted, seen_with
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
-from annulus.wall.pose import fit_pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, intersect_cylinder
+from annulus_pipe.geometry.drift import Drift, drifted, seen_with
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wall.pose import fit_pose
+from annulus_pipe.wall.profile import Profile
 
 RADIUS = 76.2
 ANGLES = (37.9, 42.4, 47.5, 52.8, 57.7)

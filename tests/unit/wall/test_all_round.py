@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_pipe import SHADOW_RATIO, oval, pocket, round_pipe, scan
 
-from annulus.wall.defects import Defect, Kind, find_defects
-from annulus.wall.grid import build_wall
+from annulus_pipe.wall.defects import Defect, Kind, find_defects
+from annulus_pipe.wall.grid import build_wall
 
 
 def only_loss(half_deg: float, hidden_deg: float, percent: float = 0.0) -> Defect:

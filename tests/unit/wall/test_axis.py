@@ -7,12 +7,12 @@ import pytest
 from chained_pipe import bead, frames, pit
 from synthetic_pipe import CALIBRATION, bump, oval, pocket, round_pipe, scan
 
-from annulus.wall.axis import Begins, find_axis
-from annulus.wall.bends import find_bends
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.features import FeatureKind
-from annulus.wall.profile import Profile
-from annulus.wall.survey import survey
+from annulus_pipe.wall.axis import Begins, find_axis
+from annulus_pipe.wall.bends import find_bends
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 
 R = 76.2
 STATIONS = [4.0 * i for i in range(25) if i % 5 != 4]

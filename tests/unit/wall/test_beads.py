@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.beads import Bead, measure_bead
-from annulus.wall.points import Points
+from annulus_pipe.wall.beads import Bead, measure_bead
+from annulus_pipe.wall.points import Points
 
 AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])

@@ -5,10 +5,10 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION
 
-from annulus.wall.adjustment import PIECE, State, adjust, sightings
-from annulus.wall.adjustment import START as START_OF_PIECE
-from annulus.wall.axis import Begins, _ended, _free
-from annulus.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.adjustment import PIECE, State, adjust, sightings
+from annulus_pipe.wall.adjustment import START as START_OF_PIECE
+from annulus_pipe.wall.axis import Begins, _ended, _free
+from annulus_pipe.wall.centreline import Centreline, Piece
 
 R = CALIBRATION.pipe_radius_mm
 START, END, BEND = 60.0, 150.0, 400.0

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.centreline import Centreline, Piece
 
 small = st.floats(-0.03, 0.03)
 side = st.floats(-3.0, 3.0)

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus.job import WORDS, JobSheet
-from annulus.record.limits_file import load_limits
-from annulus.untrusted import parse_toml
-from annulus.vocabulary import AnnulusError
-from annulus.wall.conformity import QUANTITIES, Criteria, Decision, decide, judge
-from annulus.wall.defects import Defect, Detection, Kind, Limits
-from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.stations import Stations
-from annulus.wall.survey import Survey
-from annulus.wall.unjudged import Unjudged
+from annulus_pipe.job import WORDS, JobSheet
+from annulus_pipe.record.limits_file import load_limits
+from annulus_pipe.untrusted import parse_toml
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.conformity import QUANTITIES, Criteria, Decision, decide, judge
+from annulus_pipe.wall.defects import Defect, Detection, Kind, Limits
+from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.stations import Stations
+from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.unjudged import Unjudged
 
 QUICK = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=200)
 ANY = st.floats(-1e3, 1e3) | st.just(math.nan) | st.just(math.inf)

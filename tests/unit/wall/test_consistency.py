@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from synthetic_pipe import RADIUS_MM, bump, pocket, round_pipe, scan
 
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.profile import Profile
+from annulus_pipe.wall.consistency import without_inconsistent
+from annulus_pipe.wall.profile import Profile
 
 
 def with_false_arc(profile: Profile, ring: int, error_mm: float) -> Profile:

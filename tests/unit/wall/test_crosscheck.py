@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import NOISE_MM, RADIUS_MM, RadiusMap, bump, pocket, round_pipe, scan
 
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.crosscheck import with_edges, with_revised_sigma
-from annulus.wall.grid import build_wall
-from annulus.wall.profile import Profile
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.crosscheck import with_edges, with_revised_sigma
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.profile import Profile
 
 STATIONS = [4.0 * i for i in range(20)]
 STRAIGHT = Centreline([Piece(0.0, RADIUS_MM)])

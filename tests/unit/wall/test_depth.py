@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, pocket, round_pipe, scan, turn
 
-from annulus.wall.defects import find_defects
-from annulus.wall.grid import Observations, Wall, build_wall
-from annulus.wall.indications import Indication, Kind, Limits, Scale, depth_of
-from annulus.wall.survey import survey
+from annulus_pipe.wall.defects import find_defects
+from annulus_pipe.wall.grid import Observations, Wall, build_wall
+from annulus_pipe.wall.indications import Indication, Kind, Limits, Scale, depth_of
+from annulus_pipe.wall.survey import survey
 
 Z, A = 60, 360
 NOISE_MM = 0.06

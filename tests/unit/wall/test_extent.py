@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from annulus.wall.extent import with_shadow, without_scraps
-from annulus.wall.indications import Indication, Kind, Limits, Scale
+from annulus_pipe.wall.extent import with_shadow, without_scraps
+from annulus_pipe.wall.indications import Indication, Kind, Limits, Scale
 
 Z, A = 80, 360
 STEP_MM = 1.0

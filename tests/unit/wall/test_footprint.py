@@ -7,10 +7,10 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION
 
-from annulus.geometry.pose import Pose
-from annulus.wall.adjustment import PIECE, RADIUS, START, State, sightings
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.footprint import centred
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.adjustment import PIECE, RADIUS, START, State, sightings
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.footprint import centred
 
 R = CALIBRATION.pipe_radius_mm
 SLIT = math.radians(0.5)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.joints import _gap
-from annulus.wall.points import Points
+from annulus_pipe.wall.joints import _gap
+from annulus_pipe.wall.points import Points
 
 AT_MM = 172.0
 DEEP_MM = 9.0

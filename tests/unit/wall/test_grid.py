@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, bump, oval, pocket, round_pipe, scan
 
-from annulus.geometry.pose import Pose
-from annulus.vocabulary import AnnulusError
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.defects import Defect, Detection, Kind, clock_face, find_defects
-from annulus.wall.grid import Wall, build_wall
-from annulus.wall.profile import Profile
-from annulus.wall.stations import f1216, measure_stations
-from annulus.wall.texture import LedFrame, paint, pose_at
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.defects import Defect, Detection, Kind, clock_face, find_defects
+from annulus_pipe.wall.grid import Wall, build_wall
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.stations import f1216, measure_stations
+from annulus_pipe.wall.texture import LedFrame, paint, pose_at
 
 
 def defects_of(wall: Wall) -> tuple[Defect, ...]:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.grooves import groove_floor
-from annulus.wall.points import Points
-from annulus.wall.profile import Profile
+from annulus_pipe.wall.grooves import groove_floor
+from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.profile import Profile
 
 AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])

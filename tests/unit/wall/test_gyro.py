@@ -8,12 +8,22 @@ import pytest
 from chained_pipe import gyroscope, ridden
 from synthetic_pipe import CALIBRATION
 
-from annulus.geometry.pose import Pose
-from annulus.wall import adjustment
-from annulus.wall.adjustment import CURVATURE, PIECE, START, Adjusted, Sightings, State, adjust, sightings, unmodelled
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.gyro import GYRO, Turns, weigh
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall import adjustment
+from annulus_pipe.wall.adjustment import (
+    CURVATURE,
+    PIECE,
+    START,
+    Adjusted,
+    Sightings,
+    State,
+    adjust,
+    sightings,
+    unmodelled,
+)
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.gyro import GYRO, Turns, weigh
+from annulus_pipe.wall.profile import Profile
 
 R, RADIUS, ANGLE = 76.2, 457.2, 45.0
 STATIONS = list(np.arange(-70.0, 690.0, 20.0))

@@ -9,12 +9,12 @@ import pytest
 from drawn import calibration, draw
 from synthetic_pipe import pocket, round_pipe, scan
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import Pose
-from annulus.rings.polar import ring_pixels
-from annulus.rings.reconstructor import Reconstructor
-from annulus.wall.lost import RING_LOST, lost_rings
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.polar import ring_pixels
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.wall.lost import RING_LOST, lost_rings
+from annulus_pipe.wall.profile import Profile
 
 POSES = [Pose(), Pose(0.012, -0.01, 1.0, -1.5), Pose(-0.01, 0.0, -1.0, 0.5)]
 

@@ -8,10 +8,10 @@ import pytest
 from scipy import ndimage
 from synthetic_pipe import CALIBRATION, RADIUS_MM, round_pipe, scan
 
-from annulus.geometry.calibration import Calibration
-from annulus.wall.pace import ODOMETER
-from annulus.wall.survey import Survey, survey
-from annulus.wall.texture import LedFrame
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.wall.pace import ODOMETER
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.texture import LedFrame
 
 STATIONS = [5.0 * i for i in range(34)]
 SIDE_MM = 0.5  # of a speck

@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.wall.windows import CUT_MM, HALO_OF_RADIUS, WHOLE_ROWS_MAX, Reach, plan
+from annulus_pipe.wall.windows import CUT_MM, HALO_OF_RADIUS, WHOLE_ROWS_MAX, Reach, plan
 
 RADIUS_MM = 76.2
 FRAME = 3400

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import Pose
-from annulus.wall.pose import fit_pose
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.pose import fit_pose
 
 INCH = 25.4
 R = 3 * INCH

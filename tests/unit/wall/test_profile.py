@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.geometry.pose import Pose
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.profile import Profile
 
 
 def profile(n=5, pose=Pose(0.1, 0.2, 3.0, 4.0)):  # noqa: B008 (frozen)

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 from synthetic_pipe import RADIUS_MM, pocket, round_pipe, scan
 
-from annulus.geometry.pose import Pose
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.registration import register
 
 FALSE = Pose(0.004, -0.003, 0.3, -0.2)  # as if a groove had pulled the fit: half a millimetre at the wall
 

@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 from drawn_heads import RADIUS, head, radius_of, scan
 
-from annulus.geometry.calibration import HeadCamera
-from annulus.geometry.drift import Drift
-from annulus.wall.explained import TRANSLUCENT, Before, Effects, answer_at, drift_before
-from annulus.wall.grid import build_wall
-from annulus.wall.offsets import observations, ring_offsets
-from annulus.wall.optics import Optics, Prior
-from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import SURE, AbsoluteScale, anchor, find_scale, scale_findings, with_drift, with_marks
-from annulus.wall.windows import _part
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.geometry.drift import Drift
+from annulus_pipe.wall.explained import TRANSLUCENT, Before, Effects, answer_at, drift_before
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.offsets import observations, ring_offsets
+from annulus_pipe.wall.optics import Optics, Prior
+from annulus_pipe.wall.reference import (
+    ReferenceSection,
+    sections_from,
+    sections_of,
+    sections_recorded,
+    sections_to_dict,
+)
+from annulus_pipe.wall.scale import SURE, AbsoluteScale, anchor, find_scale, scale_findings, with_drift, with_marks
+from annulus_pipe.wall.windows import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
 

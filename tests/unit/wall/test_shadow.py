@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.wall.shadow import between_levels, shadowed
+from annulus_pipe.wall.shadow import between_levels, shadowed
 
 STEP_MM = 1.0
 WIDE, NARROW = 0.55, 0.34  # tangents of the widest and the narrowest ring's half-angle

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, oval, round_pipe, scan, turn
 
-from annulus.wall import Profile, Survey, survey
-from annulus.wall.defects import Kind
-from annulus.wall.grid import build_wall
-from annulus.wall.pose import fit_pose
-from annulus.wall.shape import fit_shape, harmonics, spread
-from annulus.wall.stations import shape_ovality, swing_sigma
+from annulus_pipe.wall import Profile, Survey, survey
+from annulus_pipe.wall.defects import Kind
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.pose import fit_pose
+from annulus_pipe.wall.shape import fit_shape, harmonics, spread
+from annulus_pipe.wall.stations import shape_ovality, swing_sigma
 
 OVAL = 0.04
 NOISE_MM, BIAS_MM = 0.12, 0.05

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.special import ellipe
 
-from annulus.wall.grid import Observations, Wall
-from annulus.wall.shape import fit_shape
-from annulus.wall.stations import across_mm, around_mm, measure_stations
+from annulus_pipe.wall.grid import Observations, Wall
+from annulus_pipe.wall.shape import fit_shape
+from annulus_pipe.wall.stations import across_mm, around_mm, measure_stations
 
 CLOCK = np.arange(360) + 0.5
 T = np.radians(CLOCK)

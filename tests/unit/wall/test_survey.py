@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus.vocabulary import AnnulusError
-from annulus.wall import LedFrame, Profile, Survey, survey
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.defects import Kind
-from annulus.wall.grid import build_wall
-from annulus.wall.surface import triangulate
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall import LedFrame, Profile, Survey, survey
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.defects import Kind
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.surface import triangulate
 
 STATIONS = [3.0 * i for i in range(26)]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.wall.texture import _unhidden
+from annulus_pipe.wall.texture import _unhidden
 
 
 def test_a_cell_that_one_camera_has_hidden_is_the_others() -> None:

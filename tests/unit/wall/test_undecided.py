@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from synthetic_pipe import SHADOW_RATIO, oval, pocket, round_pipe, scan
 
-from annulus.wall.defects import UNSURE, Detection, Kind, find_defects
-from annulus.wall.grid import Wall, build_wall
-from annulus.wall.standing import UNSURE_WHY
+from annulus_pipe.wall.defects import UNSURE, Detection, Kind, find_defects
+from annulus_pipe.wall.grid import Wall, build_wall
+from annulus_pipe.wall.standing import UNSURE_WHY
 
 DEPTH_MM = 0.8
 

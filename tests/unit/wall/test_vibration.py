@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import SHADOW_RATIO, round_pipe, scan
 
-from annulus.wall.defects import find_defects
-from annulus.wall.grid import build_wall
-from annulus.wall.vibration import without_vibration
+from annulus_pipe.wall.defects import find_defects
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.vibration import without_vibration
 
 STATIONS = [2.4 * i for i in range(64) if i % 5 != 4]
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus.vocabulary import AnnulusError
-from annulus.wall import Profile, Survey, survey
-from annulus.wall.defects import Kind
-from annulus.wall.joined import Abstract, Joined, abstract, joined
-from annulus.wall.windows import Plan, Reach, between, plan
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall import Profile, Survey, survey
+from annulus_pipe.wall.defects import Kind
+from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
+from annulus_pipe.wall.windows import Plan, Reach, between, plan
 
 pytestmark = pytest.mark.deep(gate="tests/unit/wall/test_survey.py::test_every_figure_is_an_attribute")
 

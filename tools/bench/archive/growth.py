@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus.archive.comparison import Comparison, compare, compare_maps
+from annulus_pipe.archive.comparison import Comparison, compare, compare_maps
 from tools.bench.table import ROOT, Row
 
 SURVEY = ROOT.parent / "shared" / "survey"

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.blind.mesh import mesh
 from tools.bench.blind.pipe import Head, Material, Scene, Stand, Thing
 from tools.bench.blind.surface import BOTTOMS, Array, Surface, out

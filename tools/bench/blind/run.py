@@ -7,7 +7,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.blind.cases import guarded, run_all
 from tools.bench.blind.draw import draw
 from tools.bench.blind.others import KINDS

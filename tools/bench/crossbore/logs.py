@@ -34,7 +34,7 @@ def rows() -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("crossbore-a1", "crossbore-a2"):
             out = Path(folder) / f"{name}.json"
-            command = [sys.executable, "-c", "from annulus.cli import main; main()", "bore", "detect"]
+            command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "bore", "detect"]
             began = time.monotonic()
             subprocess.run(
                 [*command, str(LOGS / f"{name}.csv.gz"), "-o", str(out)], check=True, capture_output=True, timeout=300

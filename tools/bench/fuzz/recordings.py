@@ -11,12 +11,12 @@ from random import Random
 import numpy as np
 import zstandard
 
-from annulus.record.codec import Codec
-from annulus.record.frames import FRAME_TOPIC, LABEL_TOPIC
-from annulus.record.recording import open_recording
-from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.frames import FRAME_TOPIC, LABEL_TOPIC
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_values
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from random import Random
 from typing import cast
 
-from annulus.link.port import Port
-from annulus.selftest.rig.recording import merged, samples, track
-from annulus.selftest.rig.wire import Area, Operation, Record, RigLine, frame, unframe
+from annulus_pipe.link.port import Port
+from annulus_pipe.selftest.rig.recording import merged, samples, track
+from annulus_pipe.selftest.rig.wire import Area, Operation, Record, RigLine, frame, unframe
 from tools.bench.fuzz.mutate import of_bytes
 
 READ_NS = 200_000_000  # a read that finds nothing takes so long here

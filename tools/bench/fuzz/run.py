@@ -17,7 +17,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.fuzz.targets import TARGETS
 
 CASE_S = 5.0  # of the processor: what others leave of the machine is not the case's fault

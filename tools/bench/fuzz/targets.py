@@ -19,26 +19,26 @@ import h5py
 import msgpack
 import numpy as np
 
-from annulus import untrusted
-from annulus.archive.wall_map import read_map
-from annulus.calibrate.both import placement_from_dict
-from annulus.daemon.config import load_config
-from annulus.daemon.control import REQUEST_MAX, Request
-from annulus.link import codec, messages
-from annulus.link.head import HeadControl
-from annulus.link.stage import stage_from_us
-from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
-from annulus.record.calibration_file import load_calibration, load_camera, load_part
-from annulus.record.replay import ScanFolderCamera
-from annulus.record.scan import open_scan
-from annulus.rings.calibration.reference import Reference
-from annulus.rings.colour import ColourProfile
-from annulus.sensors.sample import Sample
-from annulus.stream.frames import FrameHeader
-from annulus.tai.decode import load_template
-from annulus.tai.design import load_transducer
-from annulus.testing.scripted import ScriptedController
-from annulus.vocabulary import AnnulusError
+from annulus_pipe import untrusted
+from annulus_pipe.archive.wall_map import read_map
+from annulus_pipe.calibrate.both import placement_from_dict
+from annulus_pipe.daemon.config import load_config
+from annulus_pipe.daemon.control import REQUEST_MAX, Request
+from annulus_pipe.link import codec, messages
+from annulus_pipe.link.head import HeadControl
+from annulus_pipe.link.stage import stage_from_us
+from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
+from annulus_pipe.record.calibration_file import load_calibration, load_camera, load_part
+from annulus_pipe.record.replay import ScanFolderCamera
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.rings.calibration.reference import Reference
+from annulus_pipe.rings.colour import ColourProfile
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.tai.decode import load_template
+from annulus_pipe.tai.design import load_transducer
+from annulus_pipe.testing.scripted import ScriptedController
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.fuzz.catalogue_files import catalogue_case, catalogue_read
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
@@ -260,7 +260,7 @@ def _scan_read(data: bytes, folder: Path) -> None:
 
 @cache
 def _toml() -> str:
-    page = (ROOT / "host/annulus/daemon/README.md").read_text()
+    page = (ROOT / "host/annulus_pipe/daemon/README.md").read_text()
     lines = page.split("```toml\n")[1].split("```")[0].splitlines()
     return "\n".join(line.split("  #")[0] for line in lines if "key_file" not in line)
 

@@ -46,7 +46,7 @@ def rows() -> list[Row]:
     truth = JOINTS / "joint-a-truth" / "truth.json"
     with tempfile.TemporaryDirectory() as folder:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        command = [sys.executable, "-c", "from annulus.cli import main; main()", "joint", "image"]
+        command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "joint", "image"]
         subprocess.run(
             [*command, str(JOINTS / "joint-a" / "ct.tif"), "-o", folder], check=True, capture_output=True, timeout=600
         )
@@ -115,7 +115,7 @@ def _large(folder: Path) -> tuple[float, float]:
     size = [f"{v * (n - 1) / (LARGE - 1):.9f}" for v, n in zip(np.broadcast_to(voxel, 3), small.shape, strict=True)]
     told = folder / "time.txt"
     code = (
-        "import resource, time; t = time.monotonic()\nfrom annulus.cli import main\ntry: main()\nfinally: "
+        "import resource, time; t = time.monotonic()\nfrom annulus_pipe.cli import main\ntry: main()\nfinally: "
         f"open({str(told)!r}, 'w').write(f'{{time.monotonic() - t}} "
         "{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6}')"
     )

@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from annulus.geometry.drift import Drift, drifted
-from annulus.numeric.arrays import FloatArray
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world
-from annulus.wall import survey
-from annulus.wall.reference import ReferenceSection
-from annulus.wall.scale import find_scale, scale_findings
+from annulus_pipe.geometry.drift import Drift, drifted
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import clean_world
+from annulus_pipe.wall import survey
+from annulus_pipe.wall.reference import ReferenceSection
+from annulus_pipe.wall.scale import find_scale, scale_findings
 from tools.bench.table import Row
 
 HEADS, FIRST_SEED = 200, 5001  # held out: no constant was set on these

@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.reference import learn
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import Feature, World, clean_world
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.defects import find_defects
-from annulus.wall.grid import Wall, build_wall
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
-from annulus.wall.vibration import without_vibration
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.rings.calibration.reference import learn
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.wall.consistency import without_inconsistent
+from annulus_pipe.wall.defects import find_defects
+from annulus_pipe.wall.grid import Wall, build_wall
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.registration import register
+from annulus_pipe.wall.vibration import without_vibration
 from tests.unit.rings import drawn
 from tests.unit.rings import synthetic_pipe as pipe
 from tools.bench.table import Row

@@ -7,13 +7,13 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.bundle import Solution
-from annulus.rings.calibration.corrections import fit_corrections
-from annulus.rings.calibration.cross_validation import measure
-from annulus.rings.calibration.observations import Observations
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.bundle import Solution
+from annulus_pipe.rings.calibration.corrections import fit_corrections
+from annulus_pipe.rings.calibration.cross_validation import measure
+from annulus_pipe.rings.calibration.observations import Observations
 from tools.bench.metrology import TABLE
 from tools.bench.metrology.ring_simulation import (
     CAMERA,

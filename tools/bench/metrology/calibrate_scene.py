@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.calibrate.pipe import calibrate_pipe, save_pipe
-from annulus.calibrate.pipe_picture import draw_pipe
-from annulus.report import Account, write
-from annulus.reprocess import open_job, reprocess
+from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
+from annulus_pipe.calibrate.pipe_picture import draw_pipe
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import open_job, reprocess
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
 

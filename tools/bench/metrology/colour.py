@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import Pose
-from annulus.rings.colour import ColourProfile, Stripes, learn, stripes
-from annulus.rings.polar import polar_grid, ring_pixels
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.colour import ColourProfile, Stripes, learn, stripes
+from annulus_pipe.rings.polar import polar_grid, ring_pixels
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
+from annulus_pipe.wall.profile import Profile
 from tools.bench.metrology import TABLE
 from tools.bench.table import Row
 

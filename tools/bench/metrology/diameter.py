@@ -15,16 +15,16 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 
-from annulus.numeric.arrays import FloatArray
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.score import score_cloud
-from annulus.twin.worlds import Feature, World, clean_world, demo_world
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.grid import build_wall
-from annulus.wall.registration import register
-from annulus.wall.stations import STATION_MM, measure_stations
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import score_cloud
+from annulus_pipe.twin.worlds import Feature, World, clean_world, demo_world
+from annulus_pipe.wall.consistency import without_inconsistent
+from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.registration import register
+from annulus_pipe.wall.stations import STATION_MM, measure_stations
 from tools.bench.metrology import TABLE
 from tools.bench.table import Row
 

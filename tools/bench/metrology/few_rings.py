@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.score import score_cloud
-from annulus.twin.worlds import World, clean_world
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import score_cloud
+from annulus_pipe.twin.worlds import World, clean_world
 from tools.bench.table import Row
 
 FRAMES = 12

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.corrections import fit_corrections
-from annulus.rings.calibration.cross_validation import measure
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.corrections import fit_corrections
+from annulus_pipe.rings.calibration.cross_validation import measure
 from tools.bench.metrology.ring_simulation import POSES, RADIUS_MM, RINGS, artefacts, poses_within, simulate
 from tools.bench.table import Row
 

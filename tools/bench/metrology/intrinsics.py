@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_files
-from annulus.calibrate.camera_picture import draw_camera
-from annulus.calibrate.target import calibrate_target
-from annulus.geometry.camera import Camera
+from annulus_pipe.calibrate.camera import CameraCalibration, calibrate_camera, image_files
+from annulus_pipe.calibrate.camera_picture import draw_camera
+from annulus_pipe.calibrate.target import calibrate_target
+from annulus_pipe.geometry.camera import Camera
 from tests.scenes.calibrate.photographs import DrawnTarget, photograph, poses
 from tests.scenes.calibrate.ringed_targets import COLOURS, cones, write_scan
 from tools.bench.metrology import TABLE

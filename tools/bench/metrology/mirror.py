@@ -13,20 +13,20 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.codec import to_bgr
-from annulus.rings.calibration.autocalibration import calibrate
-from annulus.rings.calibration.contours import close_grid, follow, wide_grid
-from annulus.rings.calibration.observations import observe
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.score import CloudScore, score_cloud, score_defects
-from annulus.twin.worlds import Optics, World, mirror_world
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.defects import find_defects
-from annulus.wall.grid import Wall, build_wall
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.calibration.autocalibration import calibrate
+from annulus_pipe.rings.calibration.contours import close_grid, follow, wide_grid
+from annulus_pipe.rings.calibration.observations import observe
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import CloudScore, score_cloud, score_defects
+from annulus_pipe.twin.worlds import Optics, World, mirror_world
+from annulus_pipe.wall.consistency import without_inconsistent
+from annulus_pipe.wall.defects import find_defects
+from annulus_pipe.wall.grid import Wall, build_wall
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.registration import register
 from tools.bench.metrology import TABLE
 from tools.bench.table import Row
 

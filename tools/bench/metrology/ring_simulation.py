@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.bundle import Solution
-from annulus.rings.calibration.observations import Observations, observe
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.rings.calibration.bundle import Solution
+from annulus_pipe.rings.calibration.observations import Observations, observe
 
 RADIUS_MM = 76.2
 DIRECTIONS = 720

@@ -19,11 +19,11 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, clean_world
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World, clean_world
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
 

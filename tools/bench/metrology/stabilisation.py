@@ -17,9 +17,9 @@ import matplotlib as mpl
 import numpy as np
 from scipy.optimize import least_squares
 
-from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
-from annulus.wall.pose import fit_pose
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wall.pose import fit_pose
 from tools.bench.metrology import TABLE
 from tools.bench.table import Row
 

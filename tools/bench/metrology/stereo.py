@@ -18,23 +18,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from annulus.calibrate.head import calibrate_head
-from annulus.calibrate.pipe import save_pipe
-from annulus.geometry.calibration import Calibration, HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone, intersect_cone
-from annulus.geometry.pose import Pose
-from annulus.record.codec import to_bgr
-from annulus.report import Account, write
-from annulus.reprocess import open_job, reprocess
-from annulus.rings.reconstructor import Reconstructor
-from annulus.stereo import StereoReconstructor
-from annulus.stereo.merge import Sight, merge
-from annulus.stereo.reconstructor import generators
-from annulus.stereo.view import View, view_of
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world
-from annulus.twin.worlds.stereo import stereo_world
+from annulus_pipe.calibrate.head import calibrate_head
+from annulus_pipe.calibrate.pipe import save_pipe
+from annulus_pipe.geometry.calibration import Calibration, HeadCamera
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone, intersect_cone
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stereo import StereoReconstructor
+from annulus_pipe.stereo.merge import Sight, merge
+from annulus_pipe.stereo.reconstructor import generators
+from annulus_pipe.stereo.view import View, view_of
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import clean_world
+from annulus_pipe.twin.worlds.stereo import stereo_world
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
 

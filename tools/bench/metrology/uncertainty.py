@@ -16,17 +16,17 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration
-from annulus.record.codec import to_bgr
-from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.render import Renderer
-from annulus.twin.score import NEAR_EDGE_MM, _edge_distance
-from annulus.twin.worlds import YELLOW, World, clean_world, demo_world, fisheye_camera, mirror_world, painted
-from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.crosscheck import with_revised_sigma
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import NEAR_EDGE_MM, _edge_distance
+from annulus_pipe.twin.worlds import YELLOW, World, clean_world, demo_world, fisheye_camera, mirror_world, painted
+from annulus_pipe.wall.centreline import Centreline, Piece
+from annulus_pipe.wall.consistency import without_inconsistent
+from annulus_pipe.wall.crosscheck import with_revised_sigma
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.registration import register
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
 

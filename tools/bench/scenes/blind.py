@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from annulus.twin.scan import world_named, write_scan
+from annulus_pipe.twin.scan import world_named, write_scan
 from tools.bench.scenes.judge import BOUNDS, CLOCK_DEG, PLACE_MM, POCKET_LENGTH_MM, Check, verdict
 
 FRAMES = {"butt": 26, "coupling": 26, "branch": 26, "bend": 60, "water": 26}  # a frame every 5 mm; in a bend every 12

@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 from plyfile import PlyData
 
-from annulus.numeric.robust import SIGMA_OF_MAD
+from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from tools.bench.scenes.judge import Check
 
 ELBOW = "elbow-a"

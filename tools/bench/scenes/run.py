@@ -10,10 +10,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from annulus.record.limits_file import load_limits
-from annulus.report import Account, write
-from annulus.reprocess import method_for, open_job, reprocess, warm_up
-from annulus.wall.conformity import judge
+from annulus_pipe.record.limits_file import load_limits
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import method_for, open_job, reprocess, warm_up
+from annulus_pipe.wall.conformity import judge
 from tools.bench.scenes import __doc__ as purpose
 from tools.bench.scenes.blind import FRAMES, blind_checks, draw
 from tools.bench.scenes.elbow import ELBOW, elbow_checks

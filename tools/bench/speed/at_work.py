@@ -20,16 +20,16 @@ from typing import Any
 
 import zmq
 
-from annulus.capture.photometry import Light, measure
-from annulus.capture.timing import FrameTiming
-from annulus.daemon.control import ControlClient
-from annulus.daemon.state import State
-from annulus.record.recording import Recording, open_recording
-from annulus.stream.publish import parse
-from annulus.twin.faults import NO_FAULTS, Faults
-from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.worlds.world import World
-from annulus.vocabulary import Label
+from annulus_pipe.capture.photometry import Light, measure
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.state import State
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.stream.publish import parse
+from annulus_pipe.twin.faults import NO_FAULTS, Faults
+from annulus_pipe.twin.head import HeadHandle, start_head
+from annulus_pipe.twin.worlds.world import World
+from annulus_pipe.vocabulary import Label
 from tools.bench.speed.daemons import Daemon, running, until
 from tools.bench.speed.live import children_of, drawn
 from tools.bench.speed.viewers import cpu_s, free_port, rss_mb

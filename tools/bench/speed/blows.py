@@ -23,22 +23,22 @@ from typing import Any
 
 import zmq
 
-from annulus.daemon.account import ScanReport
-from annulus.daemon.config import RecordConfig, SocketConfig
-from annulus.daemon.ledger import Status
-from annulus.daemon.observer import Observer
-from annulus.daemon.session import Session
-from annulus.daemon.state import State
-from annulus.demo import demo_config
-from annulus.link.client import Client
-from annulus.link.messages import StateFlag
-from annulus.link.messages import Status as AskStatus
-from annulus.record.recording import open_recording
-from annulus.stream.frames import FrameHeader
-from annulus.stream.publish import parse
-from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.worlds import demo_world
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.account import ScanReport
+from annulus_pipe.daemon.config import RecordConfig, SocketConfig
+from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.observer import Observer
+from annulus_pipe.daemon.session import Session
+from annulus_pipe.daemon.state import State
+from annulus_pipe.demo import demo_config
+from annulus_pipe.link.client import Client
+from annulus_pipe.link.messages import StateFlag
+from annulus_pipe.link.messages import Status as AskStatus
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.stream.publish import parse
+from annulus_pipe.twin.head import HeadHandle, start_head
+from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.vocabulary import Label
 from tools.bench.speed.viewers import free_port
 
 FPS = 12.5
@@ -423,7 +423,7 @@ def left(mark: str, before: set[str], owner: int, patience_s: float = 5.0) -> li
 def _command(pid: int) -> str:
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-        return next((word.decode() for word in words if word.startswith(b"annulus.")), words[0].decode())
+        return next((word.decode() for word in words if word.startswith(b"annulus_pipe.")), words[0].decode())
     except OSError:
         return "gone by now"
 

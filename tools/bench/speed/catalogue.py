@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from annulus.archive.catalogue import add
-from annulus.archive.catalogue_packs import pack
-from annulus.archive.catalogue_query import open_catalogue
-from annulus.archive.catalogue_questions import QUESTIONS
-from annulus.archive.catalogue_store import make, put
-from annulus.archive.catalogue_survey import ID_DIGITS, SurveyRecord, digest, read_survey
-from annulus.extras import need
+from annulus_pipe.archive.catalogue import add
+from annulus_pipe.archive.catalogue_packs import pack
+from annulus_pipe.archive.catalogue_query import open_catalogue
+from annulus_pipe.archive.catalogue_questions import QUESTIONS
+from annulus_pipe.archive.catalogue_store import make, put
+from annulus_pipe.archive.catalogue_survey import ID_DIGITS, SurveyRecord, digest, read_survey
+from annulus_pipe.extras import need
 from tools.bench.table import Row
 
 SURVEYS, STATIONS, YEARS, LOT = 2000, 2000, 5, 200

@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.record.storage import Place
-from annulus.record.writer import RecordingWriter
-from annulus.reprocess import Executor, Processes, in_process, make_ready, measure, open_job
-from annulus.reprocess.cluster import Dask, packed
-from annulus.reprocess.executors import Failed
-from annulus.reprocess.job import Job
-from annulus.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
-from annulus.reprocess.versions import measured_with
-from annulus.stream.frames import FrameHeader
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world
-from annulus.vocabulary import Label
+from annulus_pipe.record.storage import Place
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.reprocess import Executor, Processes, in_process, make_ready, measure, open_job
+from annulus_pipe.reprocess.cluster import Dask, packed
+from annulus_pipe.reprocess.executors import Failed
+from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
+from annulus_pipe.reprocess.versions import measured_with
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import clean_world
+from annulus_pipe.vocabulary import Label
 from tools.bench.dask_processes import Cluster
 from tools.bench.table import ROOT, Row
 

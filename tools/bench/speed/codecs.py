@@ -21,18 +21,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.record.codec import Codec
-from annulus.record.recording import open_recording
-from annulus.record.scan import open_scan
-from annulus.record.viewers import preview
-from annulus.record.writer import RecordingWriter
-from annulus.report import Account, write
-from annulus.reprocess import Processes, open_job, reprocess
-from annulus.stream.frames import FrameHeader
-from annulus.twin.render import Renderer
-from annulus.twin.score import score_cloud, score_defects
-from annulus.twin.worlds import Feature, World, clean_world
-from annulus.vocabulary import Label
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.record.scan import open_scan
+from annulus_pipe.record.viewers import preview
+from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.report import Account, write
+from annulus_pipe.reprocess import Processes, open_job, reprocess
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.score import score_cloud, score_defects
+from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.vocabulary import Label
 from tools.bench.table import SCENES, Row
 
 FRAMES, FPS = 30, 25.0

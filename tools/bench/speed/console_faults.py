@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from annulus.record.recording import open_recording
-from annulus.twin.worlds import demo_world
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.twin.worlds import demo_world
 from tools.bench.speed.at_work import Ear, at_work, recordings
 from tools.bench.speed.live import children_of
 from tools.bench.speed.viewers import child, cpu_s, looked, serving

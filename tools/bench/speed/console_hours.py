@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import zmq
 
-from annulus.stream.publish import parse
+from annulus_pipe.stream.publish import parse
 from tools.bench.speed.page_at_work import chromium_at, heap_mb, renderer_mb
 from tools.bench.speed.viewers import Console, console_at_work, foremost, rss_mb
 from tools.bench.table import Row

@@ -14,8 +14,8 @@ from typing import Any
 
 import zmq
 
-from annulus.capture.timing import FrameTiming
-from annulus.stream.publish import parse
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.stream.publish import parse
 from tools.bench.speed.at_work import Work, at_work, spread_ms
 from tools.bench.speed.live import plain_world
 from tools.bench.speed.viewers import ROOT, UP_S, child, looked, serving

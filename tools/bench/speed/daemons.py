@@ -19,15 +19,15 @@ from typing import Any
 
 import zmq
 
-from annulus.daemon.control import ControlClient
-from annulus.daemon.ledger import Status
-from annulus.daemon.state import State
-from annulus.record.calibration_file import save_calibration
-from annulus.record.recording import open_recording
-from annulus.stream.publish import parse
-from annulus.twin.head import HeadHandle, head_toml, start_head
-from annulus.twin.worlds.world import World
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.state import State
+from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.stream.publish import parse
+from annulus_pipe.twin.head import HeadHandle, head_toml, start_head
+from annulus_pipe.twin.worlds.world import World
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.blows import FPS, MARK, WORLD, Disk, is_alive, left, lit, processes_of, shared
 from tools.bench.speed.viewers import free_port
 
@@ -71,7 +71,7 @@ class Daemon:
         (out / "head.toml").write_text(toml)
         (sockets := out / "tmp").mkdir(exist_ok=True)
         self.sockets, self.mark = sockets, str(out)
-        code = "from annulus.cli import main; main()"
+        code = "from annulus_pipe.cli import main; main()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, "daemon", "--config", str(out / "head.toml")],
             env=os.environ | {MARK: self.mark, "TMPDIR": str(sockets)},

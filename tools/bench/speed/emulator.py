@@ -11,9 +11,9 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
-from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
-from annulus.link.codec import Frame, encode
-from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Commit, Status, StatusCode
+from annulus_pipe.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
+from annulus_pipe.link.codec import Frame, encode
+from annulus_pipe.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Commit, Status, StatusCode
 from tests.emulator.emulated import BOOTED, IMAGE, MS, EmulatedBoard, configuration
 from tools.bench.table import Row
 

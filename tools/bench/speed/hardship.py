@@ -12,9 +12,9 @@ import time
 from collections import Counter
 from contextlib import suppress
 
-from annulus.daemon.ledger import Status
-from annulus.record.recording import open_recording
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.record.recording import open_recording
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.at_work import Work, at_work, recordings, until
 from tools.bench.speed.blows import FPS, WORLD, is_alive, lit
 from tools.bench.speed.daemons import DARK_S, dark_after

@@ -1,6 +1,6 @@
 """Where a frame is when, on its way from its camera to a viewer: the daemon's own processes, each stamping what passes.
 
-    python -m tools.bench.speed.hops annulus.daemon.camera ARGUMENT      as python -m annulus.daemon.camera, stamped
+    python -m tools.bench.speed.hops annulus_pipe.daemon.camera ARGUMENT   as python -m does, stamped
     stamps = Stamps.read(folder)                                         (process, what, key) -> time, ns
 
 Stamps go into shared memory, a file a process in the folder that ANNULUS_HOPS names: a process that is killed leaves
@@ -90,14 +90,14 @@ class Stamps:
 
 
 def _camera(stamping: Stamping) -> None:
-    from annulus.daemon import camera
+    from annulus_pipe.daemon import camera
 
     stamping.after(camera, "grab", "read", lambda _, frame: frame.arrived_ns)
     stamping.before(camera.IntakeLoop, "_say", "told", lambda _, kind, *body: body[4] if kind == "frame" else 0)
 
 
 def _publisher(stamping: Stamping) -> None:
-    from annulus.daemon import publisher
+    from annulus_pipe.daemon import publisher
 
     def key(_: object, kind: str, body: Any, *more: object) -> int:
         return int(body[1]["arrived_ns"]) if kind == "label" else 0
@@ -107,15 +107,15 @@ def _publisher(stamping: Stamping) -> None:
 
 
 def _recorder(stamping: Stamping) -> None:
-    from annulus.daemon import recorder
+    from annulus_pipe.daemon import recorder
 
     stamping.after(recorder.RecorderJob, "frame", "recorded", lambda _, header, *more: header.arrived_ns)
 
 
 def _daemon(stamping: Stamping) -> None:
-    from annulus.daemon import camera_feed, intake, publishing
-    from annulus.labelling import navigation
-    from annulus.link.head import EdgeSeen
+    from annulus_pipe.daemon import camera_feed, intake, publishing
+    from annulus_pipe.labelling import navigation
+    from annulus_pipe.link.head import EdgeSeen
 
     def edge(_: object, event: object) -> int:
         return int(event.flash.edge) if isinstance(event, EdgeSeen) else 0
@@ -128,7 +128,7 @@ def _daemon(stamping: Stamping) -> None:
     run = subprocess.Popen
 
     def popen(command: Sequence[str], *more: Any, **how: Any) -> Any:
-        if list(command[3:4]) and command[3] in STAMPED:  # as annulus.stream.orphan starts it
+        if list(command[3:4]) and command[3] in STAMPED:  # as annulus_pipe.stream.orphan starts it
             command = [command[0], "-m", "tools.bench.speed.hops", *command[3:]]
         return run(command, *more, **how)
 
@@ -136,10 +136,10 @@ def _daemon(stamping: Stamping) -> None:
 
 
 STAMPED: Mapping[str, Callable[[Stamping], None]] = {
-    "annulus.daemon.camera": _camera,
-    "annulus.daemon.publisher": _publisher,
-    "annulus.daemon.recorder": _recorder,
-    "annulus.cli": _daemon,
+    "annulus_pipe.daemon.camera": _camera,
+    "annulus_pipe.daemon.publisher": _publisher,
+    "annulus_pipe.daemon.recorder": _recorder,
+    "annulus_pipe.cli": _daemon,
 }
 
 
@@ -148,15 +148,15 @@ def main() -> None:
     name, *arguments = sys.argv[1:]
     STAMPED[name](Stamping(Path(os.environ[ENVIRONMENT])))
     sys.argv = [name, *arguments]
-    if name == "annulus.cli":
-        from annulus.cli import main as command
+    if name == "annulus_pipe.cli":
+        from annulus_pipe.cli import main as command
 
         sys.exit(command())
     module = sys.modules[name]
-    if name == "annulus.daemon.camera":
+    if name == "annulus_pipe.daemon.camera":
         module.main(arguments[-1])
         return
-    from annulus.stream.working import serve
+    from annulus_pipe.stream.working import serve
 
     more = (module.REST_MS,) if hasattr(module, "REST_MS") else ()
     serve(arguments[-1], module._prepare, *more)

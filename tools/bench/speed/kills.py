@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from statistics import median
 
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed import blows, daemons
 from tools.bench.speed.blows import Blow
 from tools.bench.speed.live import spinning

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from annulus.twin.worlds import clean_world
+from annulus_pipe.twin.worlds import clean_world
 from tools.bench.speed.hops import Stamps
 from tools.bench.speed.live import children_of, daemon_at_work, following, spinning, touch_memory
 from tools.bench.speed.viewers import cpu_s

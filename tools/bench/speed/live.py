@@ -19,13 +19,13 @@ from unittest.mock import patch
 import numpy as np
 import zmq
 
-from annulus.capture.timing import FrameTiming
-from annulus.stream.publish import parse
-from annulus.twin import head as twin_head
-from annulus.twin import process as twin_process
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world, stereo_world
-from annulus.twin.worlds.world import World
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.stream.publish import parse
+from annulus_pipe.twin import head as twin_head
+from annulus_pipe.twin import process as twin_process
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import clean_world, stereo_world
+from annulus_pipe.twin.worlds.world import World
 from tools.bench.speed.hops import ENVIRONMENT
 
 VARIANTS = 4  # of each picture, in turn
@@ -130,7 +130,7 @@ def daemon_at_work(
             toml = toml.replace(words, others)
         (folder / "head.toml").write_text(toml)
         viewer = stack.enter_context(_viewer(f"ipc://{folder.absolute()}/labels"))
-        command = [sys.executable, "-m", "tools.bench.speed.hops", "annulus.cli", "daemon", "--config"]
+        command = [sys.executable, "-m", "tools.bench.speed.hops", "annulus_pipe.cli", "daemon", "--config"]
         daemon = subprocess.Popen(
             [*command, str(folder / "head.toml")],
             stderr=None if os.environ.get("BENCH_DEBUG") else subprocess.DEVNULL,
@@ -150,7 +150,7 @@ def children_of(pid: int) -> list[tuple[str, int]]:
             command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
         except OSError:  # gone by now
             continue
-        name = next((word.decode() for word in command if word.startswith(b"annulus.")), child)
+        name = next((word.decode() for word in command if word.startswith(b"annulus_pipe.")), child)
         found.append((name.rsplit(".", 1)[-1], int(child)))
     return found
 
@@ -165,7 +165,7 @@ def touch_memory(size: int) -> None:
         np.frombuffer(memory, np.uint8)[:: mmap.PAGESIZE] = 1
 
 
-START = "from annulus.twin.process import main; main()"  # what start_head runs
+START = "from annulus_pipe.twin.process import main; main()"  # what start_head runs
 
 
 @contextmanager

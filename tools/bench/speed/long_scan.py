@@ -17,7 +17,7 @@ from pathlib import Path
 
 import cv2
 
-from annulus.geometry.pose import Pose
+from annulus_pipe.geometry.pose import Pose
 from tests.unit.rings.drawn import Paint, calibration, draw
 from tools.bench.table import Row
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from annulus.capture.timing import FrameTiming
-from annulus.twin.worlds import clean_world
+from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.twin.worlds import clean_world
 from tools.bench.speed.live import children_of, daemon_at_work, following
 from tools.bench.speed.viewers import rss_mb
 from tools.bench.table import Row

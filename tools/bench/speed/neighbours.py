@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import zmq
 
-from annulus.daemon.command import Operator
-from annulus.daemon.control import ControlClient
-from annulus.daemon.state import State
-from annulus.twin.faults import Faults
-from annulus.twin.head import HeadHandle, head_toml, start_head
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.daemon.command import Operator
+from annulus_pipe.daemon.control import ControlClient
+from annulus_pipe.daemon.state import State
+from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.head import HeadHandle, head_toml, start_head
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.at_work import Work, at_work, until
 from tools.bench.speed.blows import FPS, WORLD
 from tools.bench.speed.live import children_of
@@ -32,7 +32,7 @@ UP_S = 60.0
 SECOND_S = 5.0  # of processor, all but all of them imports: then the second has ended; 2.2 are measured
 SAME = ("everything", "port", "camera", "publish", "control", "recording folder")
 HOLD_S = 7.0  # a tune that is killed is dark after its hold of 5 s, and what a busy machine adds
-ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
+ANNULUS = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
 DAY_CYCLES = 288  # of a scan each five minutes
 DAY_MB = 100.0  # that a process may grow in a day of them
 LINE_EVERY, LINE_GONE_MS = 150, 400.0  # frames between two times that the controller's line is unplugged

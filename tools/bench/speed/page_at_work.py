@@ -17,7 +17,7 @@ from typing import Any
 
 import zmq
 
-from annulus.stream.publish import parse
+from annulus_pipe.stream.publish import parse
 from tools.bench.speed.viewers import BAR_STEP_PX, PICTURES, Console, cpu_s
 from tools.bench.table import Row
 

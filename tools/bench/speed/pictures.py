@@ -14,13 +14,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from annulus.daemon.live_wall import LiveWall
-from annulus.daemon.pictures import preview, slits
-from annulus.daemon.pictures import rows as light_of_rows
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
-from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import Label
+from annulus_pipe.daemon.live_wall import LiveWall
+from annulus_pipe.daemon.pictures import preview, slits
+from annulus_pipe.daemon.pictures import rows as light_of_rows
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import Label
 from tests.unit.rings.drawn import Paint, calibration, draw
 from tools.bench.table import Row
 

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from scipy.signal import find_peaks
 
-from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import Pose
-from annulus.rings.reconstructor import Reconstructor
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
 from tests.unit.rings.drawn import Paint, calibration, draw
 from tools.bench.table import SCENES, Row
 

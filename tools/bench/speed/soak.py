@@ -6,8 +6,8 @@ python -m tools.bench.speed.soak [FRAMES] [PROFILE ..]     each alone; by defaul
 import sys
 from typing import Any
 
-from annulus.twin.profiles import PROFILES
-from annulus.twin.soak import soak
+from annulus_pipe.twin.profiles import PROFILES
+from annulus_pipe.twin.soak import soak
 from tools.bench.table import Row, line, section
 
 MANY, FRAMES, SEED = 1_000_000, 100_000, 1

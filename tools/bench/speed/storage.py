@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.record.codec import Codec
-from annulus.record.frames import RecordedFrame
-from annulus.record.recording import Recording, open_recording
-from annulus.record.writer import RecordingWriter
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.frames import RecordedFrame
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.record.writer import RecordingWriter
 from tools.bench.object_store import ObjectStore
 from tools.bench.table import Row
 

@@ -4,9 +4,9 @@ import time
 from dataclasses import replace
 from statistics import median
 
-from annulus.twin.head import sustainable_fps
-from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, clean_world, demo_world
+from annulus_pipe.twin.head import sustainable_fps
+from annulus_pipe.twin.render import Renderer
+from annulus_pipe.twin.worlds import World, clean_world, demo_world
 from tools.bench.table import Row
 
 FRAMES = 9

@@ -91,7 +91,7 @@ def talking(fps: float, faster: float = 1.0) -> Iterator[tuple[int, str]]:
 @contextmanager
 def serving(daemon: str) -> Iterator[tuple[int, str]]:
     """A console of that daemon: its pid and address."""
-    command = [sys.executable, "-c", "from annulus.cli import main; main()", "console"]
+    command = [sys.executable, "-c", "from annulus_pipe.cli import main; main()", "console"]
     command += ["--daemon", daemon, "--port", str(free_port())]
     with child(command, stderr=subprocess.STDOUT) as console:
         url = _told(console, console.stdout, r"https?://[\w.:\[\]]+/")

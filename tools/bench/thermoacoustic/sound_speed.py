@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from annulus.tai.decode import decode_record, sweep_of
-from annulus.tai.simulate import Setup, simulate, through
-from annulus.thermoacoustic.agreement import AGREEMENT, Arrival, disagreeing, search_sound_speed
-from annulus.thermoacoustic.phantoms import phantom
-from annulus.thermoacoustic.sweep import Sweep
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.tai.decode import decode_record, sweep_of
+from annulus_pipe.tai.simulate import Setup, simulate, through
+from annulus_pipe.thermoacoustic.agreement import AGREEMENT, Arrival, disagreeing, search_sound_speed
+from annulus_pipe.thermoacoustic.phantoms import phantom
+from annulus_pipe.thermoacoustic.sweep import Sweep
+from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.thermoacoustic.test_agreement import ANGLES, RADIUS, RATE, C, spheres
 from tools.bench.table import Row
 

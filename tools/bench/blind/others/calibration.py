@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from annulus.calibrate.camera import CameraCalibration, calibrate_camera
-from annulus.vocabulary import AnnulusError
+from annulus_pipe.calibrate.camera import CameraCalibration, calibrate_camera
+from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.blind.others.tally import Case
 from tools.bench.blind.score import Number
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from annulus.geometry.calibration import Calibration, HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
-from annulus.stereo import StereoReconstructor
-from annulus.vocabulary import AnnulusError
-from annulus.wall.profile import Profile
+from annulus_pipe.geometry.calibration import Calibration, HeadCamera
+from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.cone import Cone
+from annulus_pipe.stereo import StereoReconstructor
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.profile import Profile
 from tools.bench.blind.others.tally import Case
 from tools.bench.blind.score import Number
 

@@ -1,0 +1,172 @@
+"""Which files of a catalogue say what: packs that do not overlap, and the surveys that are in none of them.
+
+Everything is looked at before it is used, by its ends at first; a file that breaks when it is read is left out the next
+time (`without`). A damaged pack costs nothing, its surveys' own files say the same. A damaged file of a survey costs
+that survey's rows of that table, and is told.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from annulus_pipe.archive.catalogue_columns import TABLES, Column
+from annulus_pipe.archive.catalogue_store import file_of, pack_folders, survey_folder, survey_ids, why_cut
+from annulus_pipe.extras import need
+from annulus_pipe.untrusted import one_line
+
+MEMORY_MB = 1024
+_SQL_OF = {
+    "text": "VARCHAR",
+    "number": "DOUBLE",
+    "whole": "BIGINT",
+    "yes": "BOOLEAN",
+    "date": "DATE",
+    "time": "TIMESTAMP",
+    "measures": "MAP(VARCHAR, DOUBLE)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Pack:
+    """members: surveys that are in it and still have a folder; gone: those that have none any more."""
+
+    folder: Path
+    members: frozenset[str]
+    gone: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A file that is not whole. lost: whether rows are missing, for no other file has them."""
+
+    path: Path
+    why: str
+    lost: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """loose: surveys read from their own folders, whose row of the table surveys can be read."""
+
+    root: Path
+    packs: Sequence[Pack]
+    loose: Sequence[str]
+    damage: Sequence[Damage]
+    left_out: frozenset[Path] = field(default_factory=frozenset)
+
+    def files(self, table: str) -> list[Path]:
+        """Of the table, all that are whole."""
+        own = (file_of(survey_folder(self.root, one), table) for one in self.loose)
+        packed = (file_of(pack.folder, table) for pack in self.packs)
+        return [*packed, *(path for path in own if path not in self.left_out)]
+
+    def relation(self, table: str, without: Iterable[str] = ()) -> str:
+        """SQL of the table's rows, less those of the surveys `without`. Only packs that have some of these are
+        filtered; their own files are not named at all."""
+        gone = frozenset(without)
+        whole, mixed = list[Path](), list[Path]()
+        for pack in self.packs:
+            (mixed if pack.gone or pack.members & gone else whole).append(file_of(pack.folder, table))
+        own = (file_of(survey_folder(self.root, one), table) for one in self.loose if one not in gone)
+        whole += [path for path in own if path not in self.left_out]
+        names = ", ".join(one.name for one in TABLES[table])
+        parts = [f"SELECT {names} FROM {reading(whole)}"] if whole else []
+        if mixed:
+            out = sorted(gone.union(*(pack.gone for pack in self.packs)))
+            parts.append(f"SELECT {names} FROM {reading(mixed)} WHERE survey NOT IN ({', '.join(map(quoted, out))})")
+        return " UNION ALL ".join(parts) or nothing(TABLES[table])
+
+
+def session(memory_mb: int = MEMORY_MB) -> Any:
+    """DuckDB in memory: it loads nothing, looks nothing up, and spills nowhere."""
+    duckdb = need("duckdb")
+    return duckdb.connect(
+        ":memory:",
+        config={
+            "memory_limit": f"{memory_mb}MB",
+            "temp_directory": "",
+            "autoinstall_known_extensions": "false",
+            "autoload_known_extensions": "false",
+            "allow_community_extensions": "false",
+            "allow_persistent_secrets": "false",
+            "python_enable_replacements": "false",
+            "preserve_insertion_order": "true",
+        },
+    )
+
+
+def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) -> Pieces:
+    """What there is, each survey once. without: files that broke before."""
+    ids = frozenset(survey_ids(root))
+    damage: list[Damage] = []
+    packs: list[Pack] = []
+    covered: set[str] = set()
+    for count, folder in pack_folders(root):
+        if packs and count > len(ids) - len(covered):
+            continue  # what a larger one has taken in
+        found = _pack(connection, folder, count, ids, without, damage)
+        if found is not None and found.members and not found.members & covered:
+            packs.append(found)
+            covered |= found.members
+    loose, left_out = [], set(without)
+    for survey in sorted(ids - covered):
+        rows_lost = False
+        for table in TABLES:
+            path = file_of(survey_folder(root, survey), table)
+            why = "cannot be read" if path in without else why_cut(path)
+            if why is not None:
+                damage.append(Damage(path, why, lost=True))
+                left_out.add(path)
+                rows_lost |= table == "surveys"
+        if not rows_lost:
+            loose.append(survey)
+    return Pieces(root, packs, loose, damage, frozenset(left_out))
+
+
+def _pack(
+    connection: Any, folder: Path, count: int, ids: frozenset[str], without: frozenset[Path], damage: list[Damage]
+) -> Pack | None:
+    for table in TABLES:
+        path = file_of(folder, table)
+        why = "cannot be read" if path in without else why_cut(path)
+        if why is not None:
+            damage.append(Damage(path, why, lost=False))
+            return None
+    path = file_of(folder, "surveys")
+    try:
+        found = connection.execute(f"SELECT survey FROM {reading([path])}").fetchall()
+    except need("duckdb").Error as error:
+        damage.append(Damage(path, one_line(str(error).partition("\n")[0]), lost=False))
+        return None
+    told = frozenset(str(row[0]) for row in found)
+    if len(told) != count or len(found) != count:
+        damage.append(Damage(path, f"has {len(told)} surveys, expected {count}", lost=False))
+        return None
+    return Pack(folder, told & ids, told - ids)
+
+
+def broken(connection: Any, pieces: Pieces, tables: Iterable[str] = TABLES) -> dict[Path, str]:
+    """Every file that cannot be read to its end, and why: reads all of them."""
+    found = {}
+    for table in tables:
+        wanted = ", ".join(f"max({one.name}::VARCHAR)" for one in TABLES[table])
+        for path in pieces.files(table):
+            try:
+                connection.execute(f"SELECT {wanted} FROM {reading([path])}").fetchall()
+            except need("duckdb").Error as error:
+                found[path] = one_line(str(error).partition("\n")[0])
+    return found
+
+
+def reading(paths: Sequence[Path]) -> str:
+    return f"read_parquet([{', '.join(quoted(str(path)) for path in paths)}])"
+
+
+def quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def nothing(columns: Sequence[Column]) -> str:
+    """SQL of a table without a row."""
+    return f"SELECT {', '.join(f'NULL::{_SQL_OF[one.kind]} AS {one.name}' for one in columns)} WHERE false"

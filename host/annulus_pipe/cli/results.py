@@ -1,0 +1,135 @@
+"""From what a scan says to result files, for every command that makes them: of a short scan at once, of a long one
+window by window."""
+
+import hashlib
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from annulus_pipe.job import Origin
+from annulus_pipe.record.storage import Place
+from annulus_pipe.report import Account, keep_windows, write, write_whole, write_window
+from annulus_pipe.report.whole import WINDOWS, window_folder
+from annulus_pipe.reprocess import Job, photographs
+from annulus_pipe.wall.conformity import Criteria, judge
+from annulus_pipe.wall.joined import Joined
+from annulus_pipe.wall.sections import worth_showing
+from annulus_pipe.wall.survey import Survey
+
+if TYPE_CHECKING:
+    from annulus_pipe.report import Paper
+    from annulus_pipe.reprocess import Surveyed
+
+SUMMARY = "summary.json"
+ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for another run that has it from the same
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a report is told beside the survey. source : what was scanned, for people. limits : of a verdict."""
+
+    source: str
+    origin: Origin
+    limits: Criteria | None = None
+
+    def account(self, job: Job, survey: Survey, **counted: Any) -> Account:
+        """counted : what of an Account is the scan's own."""
+        verdict = None if self.limits is None else judge(survey, self.limits)
+        shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
+        pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
+        return Account(
+            self.source,
+            origin=self.origin,
+            verdict=verdict,
+            photographs=pictures,
+            covariance_stated=job.calibration.covariance is not None,
+            **counted,
+        )
+
+    def within(self, first_mm: float, last_mm: float) -> "Told":
+        """The same of a stretch: what an operator marked elsewhere is left out."""
+        marked = tuple(one for one in self.origin.observations if first_mm <= one.z_mm < last_mm)
+        return replace(self, origin=replace(self.origin, observations=marked))
+
+
+@dataclass(frozen=True, slots=True)
+class WindowFiles:
+    """Writes windows' results below a place, wherever the worker is."""
+
+    told: Told
+    place: Place
+
+    def __call__(self, number: int, survey: Survey, job: Job) -> dict[str, str]:
+        first, last, *_ = survey.wall.extent
+        nothing: Mapping[str, Any] = {}
+        account = self.told.within(first, last).account(
+            job, survey, frames=job.scan.counts(), drops=nothing, timing_ms=nothing
+        )
+        if self.place.local is not None:
+            write_window(survey, account, self.place.local, number)
+            return self.digests(number)
+        self.place.remove(SUMMARY)
+        with tempfile.TemporaryDirectory(prefix="annulus-") as made:
+            write_window(survey, account, Path(made), number)
+            _upload(Path(made), self.place)
+            return replace(self, place=Place(made)).digests(number)
+
+    def made_from(self) -> str:
+        return repr(self.told)
+
+    def digests(self, number: int) -> dict[str, str]:
+        names = [name for name in self.place.names(f"{_folder(number)}/") if not name.endswith(f"/{ABSTRACT}")]
+        return {name: hashlib.sha256(self.place.read(name) or b"").hexdigest() for name in names}
+
+    def keep(self, number: int, told: bytes) -> None:
+        self.place.write(f"{_folder(number)}/{ABSTRACT}", told)
+
+    def kept(self, number: int) -> bytes | None:
+        return self.place.read(f"{_folder(number)}/{ABSTRACT}")
+
+
+def _folder(number: int) -> str:
+    """Of a window, as a place names it."""
+    return window_folder(Path(), number).as_posix()
+
+
+def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
+    """All result files of a scan; of its windows there are some already. Returns what summary.json says."""
+    if place.local is not None:
+        return _written(done, told, place.local, paper)
+    with tempfile.TemporaryDirectory(prefix="annulus-") as made:
+        folder = Path(made)
+        for number in done.windows:
+            own = window_folder(folder, number)
+            own.mkdir(parents=True)
+            for name in (SUMMARY, "wall.npz"):
+                (own / name).write_bytes(place.read(f"{_folder(number)}/{name}") or b"")
+        summary = _written(done, told, folder, paper)
+        kept = {window_folder(folder, number).name for number in done.windows}
+        for name in place.names(f"{WINDOWS}/"):
+            if name.split("/")[1] not in kept:
+                place.remove(name)
+        _upload(folder, place, leave_out=WINDOWS)
+    return summary
+
+
+def _written(done: "Surveyed", told: Told, out: Path, paper: "Paper | None") -> dict[str, Any]:
+    account = told.account(
+        done.job, done.survey, frames=done.frames, drops=done.drops, timing_ms=done.timing_ms, findings=done.findings
+    )
+    if isinstance(done.survey, Joined):
+        return write_whole(done.survey, account, out, done.windows, paper=paper)
+    summary = write(done.survey, account, out, paper=paper)
+    keep_windows(out)
+    return summary
+
+
+def _upload(folder: Path, place: Place, leave_out: str = "") -> None:
+    """All files of a folder into a place, summary.json last."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    for file in sorted(files, key=lambda file: (file.name == SUMMARY, file)):
+        name = file.relative_to(folder).as_posix()
+        if not (leave_out and name.startswith(f"{leave_out}/")):
+            place.write(name, file.read_bytes())

@@ -1,0 +1,209 @@
+"""Routes. Who may ask at all is the gate's affair (gate.py)."""
+
+import asyncio
+import base64
+import binascii
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Any
+
+from annulus_pipe import untrusted
+from annulus_pipe.console import bench, surveys, tuning
+from annulus_pipe.console.access import CONFIRM_S, LOGINS, LOGINS_OF_ALL, PASSWORD_MAX, Bucket, Rates, Session, named
+from annulus_pipe.console.answers import Refusal, asked_for, refused, said
+from annulus_pipe.console.commands import LIT
+from annulus_pipe.console.gate import Gate
+from annulus_pipe.console.program import Program, say
+from annulus_pipe.console.viewing import cut_off, view
+from annulus_pipe.vocabulary import AnnulusError
+
+PARTS: Sequence[Callable[[Program], Sequence[Any]]] = (surveys.routes, bench.routes, tuning.routes)
+"""Each gives a list of Starlette's routes; what a part's endpoint raises is answered as in answers.py."""
+
+
+WORDS = {404: "not there", 405: "asked by another method than it is"}
+
+
+def application(program: Program) -> Any:
+    """ASGI."""
+    from starlette.applications import Starlette
+    from starlette.exceptions import HTTPException
+    from starlette.requests import Request
+    from starlette.responses import FileResponse, Response
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.staticfiles import StaticFiles
+    from starlette.websockets import WebSocket
+
+    logins, of_all = Rates(LOGINS), Bucket(*LOGINS_OF_ALL, time.monotonic())
+
+    async def page(request: Request) -> Response:
+        return FileResponse(program.static / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def session(request: Request) -> Response:
+        mine: Session | None = request.state.session
+        fresh = mine is None
+        if mine is None:
+            mine = program.sessions.begin(time.monotonic())
+        return with_cookie(told(mine), mine) if fresh else told(mine)
+
+    async def login(request: Request) -> Response:
+        asked = await asked_for(request)
+        old: Session = request.state.session
+        try:
+            name = named(asked.get("name", ""))
+            word = untrusted.text(asked.get("password", ""), "password", PASSWORD_MAX)
+        except ValueError as error:
+            raise Refusal(400, str(error)) from None
+        if program.door.password is None:
+            old.name = name
+            return told(old)
+        now = time.monotonic()
+        peer = request.client.host if request.client else ""
+        if not logins.take(peer, now) or not of_all.take(now):
+            raise Refusal(429, "too many attempts, expected one in six seconds")
+        if not await asyncio.to_thread(program.door.password.check, word):
+            say(f"a wrong password from {peer}")
+            raise Refusal(401, "the password is wrong")
+        program.sessions.end(old)  # what was known of it before is worth nothing now
+        mine = program.sessions.begin(now, allowed=True, name=name)
+        return with_cookie(told(mine), mine)
+
+    async def logout(request: Request) -> Response:
+        mine: Session = request.state.session
+        if program.lease.holder == mine.id:
+            with contextlib.suppress(Refusal):
+                await program.do({"do": "release"}, mine)
+        program.sessions.end(mine)
+        cut_off(program, mine.id)
+        return said()
+
+    async def arm(request: Request) -> Response:
+        mine: Session = request.state.session
+        return said(confirm=mine.arm(time.monotonic()), expires_s=CONFIRM_S)
+
+    async def do(request: Request) -> Response:
+        asked = dict(await asked_for(request))
+        mine: Session = request.state.session
+        asked.pop("who", None)
+        word = asked.pop("confirm", None)
+        if not isinstance(asked.get("do"), str):
+            raise Refusal(400, "do is missing, expected what is to be done")
+        if asked["do"] in LIT and not mine.confirm(word, time.monotonic()):
+            raise Refusal(403, "not confirmed: lamps come on after a second step, within 10 s of the first")
+        if asked.get("photo") is not None:
+            asked["photo"] = _photo(asked["photo"])
+        return said(**{key: value for key, value in (await program.do(asked, mine)).items() if key != "ok"})
+
+    async def defect(request: Request) -> Response:
+        closeup = _closeup(program, request)
+        listed = program.live.defects.get("defects")
+        number = closeup.numbers["id"]
+        found = next((one for one in listed or () if isinstance(one, dict) and one.get("id") == number), None)
+        seen = found.get("frames", ()) if found is not None else ()
+        frames = [
+            {"camera": camera, "index": index}
+            for index in seen
+            for camera in range(max(1, len(program.cameras)))
+            if isinstance(index, int) and program.live.frames.get(camera, index) is not None
+        ]
+        return said(**closeup.told(), defect=found, frames=frames, picture=bool(closeup.picture))
+
+    async def defect_picture(request: Request) -> Response:
+        closeup = _closeup(program, request)
+        if not closeup.picture.startswith(b"\x89PNG"):
+            raise Refusal(404, "no picture of it is there")
+        return Response(closeup.picture, media_type="image/png", headers={"Cache-Control": "no-store"})
+
+    async def frame(request: Request) -> Response:
+        jpeg = program.live.frames.get(request.path_params["camera"], request.path_params["index"])
+        if jpeg is None:
+            raise Refusal(404, "the frame is not kept any more")
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    async def nothing(request: Request) -> Response:
+        return Response(status_code=204)
+
+    async def viewing(websocket: WebSocket) -> None:
+        await view(websocket, program)
+
+    def told(mine: Session) -> Response:
+        who: dict[str, Any] = {"token": mine.token, "name": mine.name, "id": mine.id}
+        return said(
+            **who,
+            needs_login=not mine.allowed,
+            password=program.door.password is not None,
+            languages=program.languages(),
+            demo=program.demo,
+        )
+
+    def with_cookie(answer: Response, mine: Session) -> Response:
+        tls = program.door.tls_cert is not None
+        answer.set_cookie(program.cookie, mine.cookie, path="/", secure=tls, httponly=True, samesite="strict")
+        return answer
+
+    async def wrong(request: Request, error: Exception) -> Response:
+        if isinstance(error, Refusal):
+            return refused(str(error), error.status)
+        if isinstance(error, AnnulusError):
+            return refused(str(error), 409)
+        if isinstance(error, HTTPException):
+            return refused(WORDS.get(error.status_code, error.detail), error.status_code)
+        say(f"{request.url.path}: {type(error).__name__}: {error}")
+        return refused(f"internal error, {type(error).__name__}; the console's terminal says more", 500)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Any) -> AsyncIterator[None]:
+        running = asyncio.create_task(program.run())
+        try:
+            yield
+        finally:
+            running.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await running
+            program.close()
+
+    class Files(StaticFiles):
+        async def get_response(self, path: str, scope: Any) -> Response:
+            answer = await super().get_response(path, scope)
+            answer.headers["Cache-Control"] = "no-cache"  # the page is of this program, not of the last one
+            return answer
+
+    routes = [
+        Route("/", page),
+        Route("/favicon.ico", nothing),
+        Route("/api/session", session),
+        Route("/api/login", login, methods=["POST"]),
+        Route("/api/logout", logout, methods=["POST"]),
+        Route("/api/arm", arm, methods=["POST"]),
+        Route("/api/do", do, methods=["POST"]),
+        Route("/api/defect/{scan:int}/{id:int}", defect),
+        Route("/api/defect/{scan:int}/{id:int}/picture", defect_picture),
+        Route("/api/frame/{camera:int}/{index:int}", frame),
+        *(route for part in PARTS for route in part(program)),
+        WebSocketRoute("/ws", viewing),
+        Mount("/static", Files(directory=program.static)),
+    ]
+    handlers = {AnnulusError: wrong, HTTPException: wrong, Exception: wrong}
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
+    return Gate(app, program.places, program.sessions, program.cookie)
+
+
+def _closeup(program: Program, request: Any) -> Any:
+    closeup = program.live.closeups.get((request.path_params["scan"], request.path_params["id"]))
+    if closeup is None:
+        raise Refusal(404, "no close-up of that defect is there")
+    return closeup
+
+
+def _photo(text: object) -> bytes:
+    """A JPEG as base64, with or without what a browser's FileReader puts in front of it."""
+    if not isinstance(text, str):
+        raise Refusal(400, "photo must be a JPEG in base64")
+    try:
+        photo = base64.b64decode(text.removeprefix("data:image/jpeg;base64,"), validate=True)
+    except (binascii.Error, ValueError):
+        raise Refusal(400, "photo must be a JPEG in base64") from None
+    if photo[:3] != b"\xff\xd8\xff":
+        raise Refusal(400, "photo is no JPEG")
+    return photo

@@ -1,0 +1,110 @@
+"""What all of the report's pictures share: size, colours, type, and how a thing on the wall is marked."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from annulus_pipe.numeric import palette
+from annulus_pipe.numeric.rounding import EXTENT, SHARE, digits
+
+DPI = 150
+WIDTH_IN = 11.0
+INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
+LOSS_RED, BUMP_BLUE, FEATURE, OBSERVED = "#b3261e", "#1d5fa8", "#4b2e83", "#0b6170"
+DEVIATION = LinearSegmentedColormap.from_list("deviation", palette.DEVIATION)
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.8,
+    "hatch.linewidth": 0.5,
+}
+# A picture of the pipe along its length is as wide as A4 and Letter take beside their margins, and every one has the
+# same axis at the same place, so that what lies one above the other belongs together. Inches follow from that.
+PRINTED_MM, LEFT_MM, AXES_MM = 186.0, 17.0, 150.0
+SHEET_IN = 9.0
+IN_PER_MM = SHEET_IN / PRINTED_MM
+
+
+def in_style() -> Any:
+    """A context in which figures are made and saved."""
+    return mpl.rc_context(STYLE)
+
+
+def png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, facecolor="white")
+    return buffer.getvalue()
+
+
+def round_up(value: float) -> float:
+    """The next round number."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-6)))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= value * 0.999))
+
+
+def letter(number: int) -> str:
+    """A, B .. Z, AA, AB ..: the name of the number-th feature, from 0."""
+    return (letter(number // 26 - 1) if number >= 26 else "") + chr(ord("A") + number % 26)
+
+
+def question(number: int) -> str:
+    """?1, ?2 ..: the name of the number-th place that could not be decided, from 0."""
+    return f"?{number + 1}"
+
+
+def marked(number: int) -> str:
+    """M1, M2 ..: the name of the number-th thing that an operator marked, from 0."""
+    return f"M{number + 1}"
+
+
+def badge(axes: Any, x: float, y: float, name: str, *, colour: str = INK, shape: str = "circle") -> None:
+    axes.text(
+        x,
+        y,
+        name,
+        ha="center",
+        va="center",
+        fontsize=9.5,
+        fontweight="bold",
+        color="white",
+        zorder=6,
+        clip_on=False,
+        bbox={"boxstyle": f"{shape},pad=0.28", "fc": colour, "ec": "white", "lw": 1.2},
+    )
+
+
+def stack(panels: Sequence[tuple[float, float]], *, below_mm: float = 12.0) -> tuple[Figure, list[Any]]:
+    """A figure with axes one below the other, each (room above it, its height) in mm on paper."""
+    total = sum(above + height for above, height in panels) + below_mm
+    figure = Figure(figsize=(SHEET_IN, total * IN_PER_MM), dpi=DPI)
+    out, top = [], total
+    for above, height in panels:
+        top -= above + height
+        out.append(figure.add_axes((LEFT_MM / PRINTED_MM, top / total, AXES_MM / PRINTED_MM, height / total)))
+    return figure, out
+
+
+def bar_beside(figure: Figure, axes: Any, shown: Any, label: str, **more: Any) -> None:
+    """A colour bar in the margin, so that the axes keep their place."""
+    box = axes.get_position()
+    left = box.x1 + 3.0 / PRINTED_MM
+    bar = figure.colorbar(shown, cax=figure.add_axes((left, box.y0, 3.5 / PRINTED_MM, box.height)), **more)
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_edgecolor(FAINT)
+
+
+def scale_of(length_mm: float, on_paper_mm: float) -> str:
+    """1 : 20; with a decimal below 10."""
+    ratio = length_mm / on_paper_mm
+    return f"1 : {digits(ratio, SHARE if ratio < 10 else EXTENT)}"

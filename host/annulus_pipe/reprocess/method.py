@@ -1,0 +1,99 @@
+"""Which method a head's frames need, and the one function from the frames of a flash to their profile."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.record.calibration_file import load_sections
+from annulus_pipe.record.scan import ScanFrame, open_scan
+from annulus_pipe.reprocess.warmup import warmup_frame
+from annulus_pipe.rings.colour import ColourProfile
+from annulus_pipe.rings.diagnosis import Trouble, examine
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stereo import StereoReconstructor, swapped
+from annulus_pipe.vocabulary import AnnulusError, Finding, Label
+from annulus_pipe.wall.profile import Profile
+
+
+class Frame(Protocol):
+    """What a method must know of a frame besides its image; a live frame's header says it as a scan's table does."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def z_mm(self) -> float | None: ...
+    @property
+    def roll_deg(self) -> float | None: ...
+
+
+# (frame, images (H, W, 3) uint8 BGR by camera id, pose of a frame nearby or None) -> profile. All images are of one
+# flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its camera's,
+# ValueError for a frame whose place along the pipe is not known.
+Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
+
+
+def fringes_on(scan: Path, calibration: Path | None) -> Literal["plate", "pipe"] | None:
+    """Which wall a scan shows under fringes, by its calibration or the one a recording carries; None under other light.
+    Such a scan goes to `reprocess.fringe` or `fringe_pipe`, for a height follows from many frames together; all others
+    to the engine.
+
+    Raises AnnulusError where a file cannot be read."""
+    if calibration is None:
+        known = open_scan(scan).calibration
+        return "pipe" if known is not None and known.kind == "fringe" else None
+    sections = load_sections(calibration)
+    pattern = sections.get("pattern")
+    if not isinstance(pattern, dict) or pattern.get("kind", "slits") != "fringe":
+        return None
+    slide = pattern.get("projector")
+    rings = isinstance(slide, dict) and slide.get("kind") == "rings"
+    in_pipe = rings or "projectors" in pattern or ("pipe" in sections and "distance_mm" not in sections)
+    return "pipe" if in_pipe else "plate"
+
+
+def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
+    """The method of a head, ready for its frames; holds all that the calibration fixes, so make it once.
+
+    Raises AnnulusError for a head that no method here knows. The only place that chooses: the next kind is a line here.
+    """
+    if calibration.others and calibration.kind == "slits":
+        return _method(StereoReconstructor(calibration, colour=colour).profile)
+    match calibration.kind:
+        case "slits" | "line":
+            one = Reconstructor(calibration, colour=colour)
+            return _method(lambda images, **known: one.profile(*images.values(), **known))
+    raise AnnulusError(
+        f"calibration: the head projects {calibration.kind}, for which there is no method frame by frame"
+    )
+
+
+def _method(profile_of: Callable[..., Profile]) -> Method:
+    def profile(frame: Frame, images: Mapping[int, Image], seed: Pose | None) -> Profile:
+        if frame.z_mm is None:
+            raise ValueError("no place along the pipe is known for this frame")
+        # to numba a read-only array is another type: everything would compile again
+        writeable = {number: image if image.flags.writeable else image.copy() for number, image in images.items()}
+        return profile_of(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
+
+    return profile
+
+
+def examined(
+    calibration: Calibration, colour: ColourProfile | None, some: Sequence[tuple[int, Mapping[int, Image]]]
+) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
+    """What (frame, images) of a few flashes spread over a scan decide for all of them: the colour profile to use, None
+    where the one given is not this pipe's, and what is wrong with every frame."""
+    if calibration.others and calibration.kind == "slits":
+        return colour, tuple(swapped(StereoReconstructor(calibration, colour=colour), some))
+    alone = [(index, image) for index, images in some for image in images.values()]
+    findings = examine(Reconstructor(calibration, colour=colour), alone, colour)
+    return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
+
+
+def warm_up(method: Method, calibration: Calibration) -> Profile:
+    """Take a drawn frame through the whole method, so that no real one has to wait for compilers."""
+    frames = {one.id: warmup_frame(calibration, one) for one in calibration.cameras}
+    return method(ScanFrame(0, Label.PROJECTOR, 0.0, "warm-up frame"), frames, None)

@@ -1,0 +1,244 @@
+"""The labels of a recording said again from its own evidence, to look into them (`audit`) or to have them better
+(`relabel`).
+
+An audit asks every label when the head asked it: what this program says of the same evidence is what that one said, and
+whatever differs is listed. Relabelling gives frames that were labelled early, for want of room, the time they lacked.
+A frame without evidence is unknown. Where evidence is missing, what follows is said again from what comes behind the
+hole (labelling/replay.py); what is missing is said by whoever asked, and in the new recording.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from annulus_pipe.labelling.evidence import LABEL
+from annulus_pipe.labelling.replay import PATIENCE_NS, Replay
+from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.copy import Copied, clock_of, copy, missing_of
+from annulus_pipe.record.frames import RecordedFrame, frame_name
+from annulus_pipe.record.marks import read_marks
+from annulus_pipe.record.missing import RELABELLED, missing_note, missing_told
+from annulus_pipe.record.origin import job_told
+from annulus_pipe.record.recording import Recording, open_recording
+from annulus_pipe.reprocess.evidence import TOPIC, Evidence, Hole
+from annulus_pipe.stream.frames import FrameHeader
+from annulus_pipe.vocabulary import AnnulusError, Label
+
+SAME_MM = 1e-3
+NO_EVIDENCE = "no evidence"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What is said of some frames now, and was said of them then."""
+
+    was: str
+    now: str
+    what: str  # label or place
+    why: str  # the reasons, then and now
+
+
+@dataclass(slots=True)
+class Audit:
+    """frames: those with a label, recorded or not. holes: of the evidence. lacks: a line for all that is missing."""
+
+    frames: int = 0
+    changes: Counter[Change] = field(default_factory=Counter)
+    without_evidence: int = 0
+    holes: list[Hole] = field(default_factory=list)
+    lacks: list[str] = field(default_factory=list)
+    damaged: int = 0  # frames whose picture cannot be read, and is not in the new recording
+
+    @property
+    def changed(self) -> int:
+        return self.changes.total()
+
+    @property
+    def missing(self) -> int:
+        """Rows of evidence that are not in the recording, as far as it is known how many."""
+        return sum(hole.rows or 0 for hole in self.holes if not hole.malformed)
+
+    @property
+    def malformed(self) -> int:
+        """Rows that are there and cannot be read."""
+        return sum(hole.rows or 0 for hole in self.holes if hole.malformed)
+
+    def to_dict(self) -> dict[str, Any]:
+        rows = [
+            {"was": one.was, "now": one.now, "what": one.what, "why": one.why, "frames": count}
+            for one, count in self.changes.most_common()
+        ]
+        return {
+            "frames": self.frames,
+            "changed": self.changed,
+            "without_evidence": self.without_evidence,
+            "rows_missing": self.missing,
+            "rows_malformed": self.malformed,
+            "frames_damaged": self.damaged,
+            "changes": rows,
+            **missing_note(self.lacks),
+        }
+
+
+def audit(path: Path) -> Audit:
+    """Whether the labels of a recording follow from its evidence. Raises AnnulusError where it has none."""
+    recording = open_recording(path)
+    found = Audit()
+    patience_ns = max((int(note["patience_ns"]) for note in recording.notes(RELABELLED)), default=0)
+    _said_again(recording, found, patience_ns)
+    found.lacks += missing_of(recording.torn, recording.cut_frames, recording.damage)
+    return found
+
+
+def identity(path: Path) -> dict[str, Any]:
+    """What a recording says of itself, for people and programs."""
+    recording = open_recording(path)
+    who = [one for one in recording.notes("/identity") if isinstance(one, dict)]
+    first: Mapping[str, Any] = who[0] if who else {}
+    last: Mapping[str, Any] = who[-1] if who else {}
+    counted = Counter(frame.label.value for frame in recording.frames)
+    kept = Counter(_codec(frame).value for frame in recording.frames)
+    assumed = [frame for frame in recording.frames if frame.z_bound_mm > 0.0]
+    parts = recording.parts or (recording,)
+    size = recording.size
+    times = [frame.timestamp_ns for frame in recording.frames]
+    marks = read_marks(recording)
+    return {
+        "recording": str(path),
+        "parts": len(parts),
+        "bytes": size,
+        "torn": recording.torn,
+        "cut_frames_at_most": recording.cut_frames,
+        "power_cut_frames_at_most": _at_risk(recording),
+        "damage_seen": len(recording.damage),
+        "frames": dict(counted),
+        "codecs": dict(kept),
+        "first_frame": _of_day(recording, min(times, default=None)),
+        "last_frame": _of_day(recording, max(times, default=None)),
+        "seconds": round((max(times) - min(times)) / 1e9, 3) if times else 0.0,
+        "from": first.get("utc"),
+        "to": last.get("utc"),
+        "job": job_told(recording).to_dict() or None,
+        "controller": last.get("controller"),
+        "cameras": last.get("cameras"),
+        "versions": first.get("versions"),
+        "segments": len({frame.segment for frame in recording.frames if frame.label is not Label.UNKNOWN}),
+        "frames_of_assumed_place": len(assumed),
+        "z_bound_mm": max((frame.z_bound_mm for frame in assumed), default=0.0),
+        "evidence": TOPIC in recording.topics,
+        "marks": len(marks.of) + marks.left_out,
+        "marks_unread": marks.unread,
+        "missing": missing_told(recording),
+    }
+
+
+def _codec(frame: RecordedFrame) -> Codec:
+    if frame.jpeg:
+        return Codec.JPEG
+    return Codec.ZSTD if frame.chunk is not None and frame.chunk.size else Codec.RAW
+
+
+def _at_risk(recording: Recording) -> int | None:
+    """Of a torn one, how many frames at most had not been told to be on the disk itself, were it the power that went;
+    None where it was not torn, or that is not known. See [record] sync_s.
+    """
+    if not recording.torn or recording.configuration is None:
+        return None
+    try:
+        cameras = recording.configuration["cameras"]
+        sync_s, fps = float(recording.configuration["record"]["sync_s"]), float(cameras[0]["timing"]["fps"])
+    except (KeyError, IndexError, TypeError, ValueError):
+        return None
+    return math.ceil(2 * sync_s * fps) * len(cameras) if sync_s > 0 else None
+
+
+def _of_day(recording: Recording, time_ns: int | None) -> str | None:
+    """UTC; None where that is not known."""
+    clock = clock_of(recording)
+    if time_ns is None or not clock.offset_ns:
+        return None
+    try:
+        return datetime.fromtimestamp(clock.utc(time_ns) / 1e9, UTC).isoformat(timespec="milliseconds")
+    except (OverflowError, ValueError, OSError):
+        return None
+
+
+def relabel(path: Path, out: Path) -> Audit:
+    """Write `out`, which must not exist: the same recording with the labels said again. The original stays as it is."""
+    recording = open_recording(path)
+    found = Audit()
+    said = _said_again(recording, found, PATIENCE_NS)
+    found.lacks += missing_of(recording.torn, recording.cut_frames, recording.check())
+
+    def label_of(frame: RecordedFrame) -> Mapping[str, Any]:
+        return _label(recording, frame, said.get((frame.index, frame.camera)))
+
+    def last(copied: Copied) -> tuple[str, Mapping[str, Any]]:
+        found.damaged = len(copied.damaged)
+        found.lacks += copied.damaged
+        return RELABELLED, {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
+
+    copy(recording, out, last=last, label_of=label_of)
+    return found
+
+
+_Said = dict[tuple[int, int], FrameHeader | None]  # by index and camera, as the recording has them
+
+
+def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
+    """What differs goes into `found`."""
+    recorded = {(frame.index, frame.camera): frame for frame in recording.frames}
+    evidence = Evidence(recording)
+    out: _Said = {}
+    any_row = False
+    for was, now in evidence.said_again(Replay(patience_ns)):
+        any_row = True
+        frame = recorded.get((was.get("index", -1), was.get("camera", 0)))
+        told: Mapping[str, Any] = recording.label(frame) if frame is not None else was
+        found.frames += 1
+        if frame is not None:
+            out[frame.index, frame.camera] = now
+        if now is None:
+            found.without_evidence += 1
+        elif (change := _change(told or was, now)) is not None:
+            found.changes[change] += 1
+    found.holes = evidence.holes
+    if not any_row and not found.holes:
+        raise AnnulusError(f"{recording.path}: has no evidence to label it from. Expected a recording that keeps some.")
+    lost = sorted(recorded.keys() - out.keys())
+    for one in lost:
+        found.frames += 1
+        found.without_evidence += 1
+        out[one] = None
+    found.lacks += [str(hole) for hole in evidence.holes]
+    if lost:
+        found.lacks.append(
+            f"of {len(lost)} frames there is no evidence, they are unknown: the first is {frame_name(*lost[0])}, the "
+            f"last {frame_name(*lost[-1])}"
+        )
+    return out
+
+
+def _change(was: Mapping[str, Any], now: FrameHeader) -> Change | None:
+    if was.get("label") != now.label.value:
+        why = " -> ".join(str(reason) or "agreed" for reason in (was.get("reason", ""), now.reason))
+        return Change(str(was.get("label")), now.label.value, "label", why)
+    places = was.get("z_mm"), now.z_mm
+    apart = abs((places[0] or 0.0) - (places[1] or 0.0)) if (places[0] is None) == (places[1] is None) else math.inf
+    assumed = bool(was.get("z_assumed", False)), now.z_assumed
+    if apart <= SAME_MM and assumed[0] == assumed[1]:
+        return None
+    words = ["assumed" if one else "counted" for one in assumed]
+    return Change(now.label.value, now.label.value, "place", f"{words[0]} -> {words[1]}, {apart:.1f} mm apart")
+
+
+def _label(recording: Recording, frame: RecordedFrame, now: FrameHeader | None) -> dict[str, Any]:
+    label = dict(recording.label(frame)) or {"index": frame.index, "camera": frame.camera, "reason": ""}
+    if now is None:
+        return {**label, "label": Label.UNKNOWN.value, "reason": NO_EVIDENCE, "z_mm": None}
+    said = now.to_dict()
+    return {**label, **{name: said[name] for name in LABEL if name not in ("index", "camera")}}

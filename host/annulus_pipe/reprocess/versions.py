@@ -1,0 +1,109 @@
+"""What profiles follow from besides the scan: the code that measures, what it calls, and values told apart to the bit.
+
+Two machines with one `measured_with()` make the same of the same frames; whose differ are not to work on one scan.
+"""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import platform
+from collections.abc import Iterable, Mapping
+from importlib import import_module, resources
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+
+ROOMS = ("numeric", "geometry", "wall", "rings", "stereo", "stream", "capture", "record", "reprocess")
+FILES = ("vocabulary.py", "untrusted.py")  # beside the rooms
+PACKAGES = ("numpy", "cv2", "scipy", "numba", "llvmlite", "zstandard")
+
+
+@functools.cache
+def measured_with() -> Mapping[str, str]:
+    """Digest of the sources of all rooms between a frame and its profile, versions of what they call."""
+    import numba
+
+    told = {"annulus": _sources()}
+    told |= {name: str(import_module(name).__version__) for name in PACKAGES}
+    told["python"] = ".".join(platform.python_version_tuple()[:2])
+    told["machine"] = platform.machine()
+    told["numba flags"] = f"opt {int(numba.config.OPT)}{', no jit' if numba.config.DISABLE_JIT else ''}"
+    return told
+
+
+@functools.cache
+def processor() -> str:
+    """What compiled loops are made for. The last bit of a sum may be another on another kind."""
+    import numba
+    from llvmlite import binding
+
+    return str(numba.config.CPU_NAME or binding.get_host_cpu_name())
+
+
+def differing(one: Mapping[str, str], other: Mapping[str, str]) -> str:
+    """What two `measured_with` differ in, in words; empty where they agree."""
+    names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
+    return ", ".join(f"{name} {other.get(name, 'unknown')} for {one.get(name, 'unknown')}" for name in names)
+
+
+@functools.cache
+def made_with() -> Mapping[str, str]:
+    """The same of whole results: of all rooms, and what draws and writes."""
+    root = Path(str(resources.files("annulus_pipe")))
+    told = {name: str(import_module(name).__version__) for name in ("matplotlib", "PIL")}
+    return {**measured_with(), **told, "annulus": _digest(root, root.rglob("*.py"))}
+
+
+def _sources() -> str:
+    root = Path(str(resources.files("annulus_pipe")))
+    return _digest(root, [root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")])
+
+
+def _digest(root: Path, paths: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(paths):
+        digest.update(f"{path.relative_to(root).as_posix()} ".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def address(*values: Any) -> str:
+    """SHA-256 of values, in hex: of dataclasses by their names and fields, of arrays and numbers to the bit. A path has
+    no say: what is moved stays what it is. TypeError for a value of another kind."""
+    digest = hashlib.sha256()
+    for value in values:
+        _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Every value begins with its kind and its length, so that no two can be run together."""
+    if isinstance(value, enum.Enum):
+        value = f"{type(value).__name__}.{value.name}"
+    if value is None or isinstance(value, PurePath):
+        digest.update(b"-")
+    elif isinstance(value, bool | int | float | str | np.generic):
+        text = repr(value.item() if isinstance(value, np.generic) else value).encode()
+        digest.update(f"{type(value).__name__} {len(text)} ".encode() + text)
+    elif isinstance(value, bytes):
+        digest.update(f"bytes {len(value)} ".encode() + value)
+    elif isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype.str} {value.shape} ".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, tuple | list):
+        digest.update(f"row {len(value)} ".encode())
+        for one in value:
+            _feed(digest, one)
+    elif isinstance(value, Mapping):
+        digest.update(f"names {len(value)} ".encode())
+        for name in sorted(value):
+            _feed(digest, name)
+            _feed(digest, value[name])
+    elif dataclasses.is_dataclass(value):
+        fields = dataclasses.fields(value)
+        digest.update(f"{type(value).__name__} {len(fields)} ".encode())
+        for one in fields:
+            _feed(digest, one.name)
+            _feed(digest, getattr(value, one.name))
+    else:
+        raise TypeError(f"a {type(value).__name__} has no address")

@@ -1,0 +1,150 @@
+"""Where pixels look: rays of any camera, met with the plain cylinder."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.geometry.cone import intersect_cylinder
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.twin.stretch import (
+    CX,
+    CY,
+    CZ,
+    F32,
+    LEVEL,
+    NX,
+    NY,
+    NZ,
+    OPEN,
+    PLAIN,
+    WX,
+    WY,
+    WZ,
+    Real,
+    S,
+    Stretch,
+    X,
+    Y,
+    Z,
+    jit,
+)
+from annulus_pipe.twin.worlds.world import World
+
+
+class Placed(Protocol):
+    """Where the head is: a Pose, or one in a pipe of several pieces."""
+
+    @property
+    def rotation(self) -> FloatArray: ...
+
+    def to_pipe(self, points: FloatArray, z_mm: float) -> FloatArray: ...
+
+
+class Eye(NamedTuple):
+    """A camera in the pipe."""
+
+    rays: F32  # (3, H, W), see `ray_table`
+    rotation: F32  # (3, 3), pipe to camera
+    station: F32  # (3,) mm
+
+
+def eye_at(rays: F32, seen: HeadCamera, pose: Placed, z_mm: float) -> Eye:
+    """Of one of the head's cameras. pose : the head's, that is its first camera's."""
+    turn, centre = placed(seen)
+    station = pose.to_pipe(centre[None], z_mm)[0].astype(np.float32)
+    return Eye(rays, (turn @ pose.rotation).astype(np.float32), station)
+
+
+def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
+    """(3, 3), (3,) mm: turn from the head's frame into the camera's, and where in the head's its centre is."""
+    turn = np.array(seen.rotation)
+    return turn, -np.array(seen.translation_mm) @ turn
+
+
+@jit
+def meet_cylinder(part: Stretch, u0: int, eye: Eye, starts: F32 | None, radius: Real) -> None:
+    """Every pixel's ray in the pipe frame, and where it meets r = radius. starts: see `ray_table`."""
+    scratch, v, n = part.scratch, part.v, part.n
+    rotation, station = eye.rotation, eye.station
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    sx, sy, sz = station[0], station[1], station[2]
+    one, zero = np.float32(1.0), np.float32(0.0)
+    ray_x, ray_y = eye.rays[0, v, u0 : u0 + n], eye.rays[1, v, u0 : u0 + n]
+    for u in range(n):
+        dx, dy = ray_x[u], ray_y[u]
+        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+        cx, cy, cz = sx, sy, sz
+        if starts is not None:  # decided when compiled
+            ox, oy, oz = starts[0, v, u0 + u], starts[1, v, u0 + u], starts[2, v, u0 + u]
+            dz *= starts[3, v, u0 + u]
+            cx += r00 * ox + r10 * oy + r20 * oz
+            cy += r01 * ox + r11 * oy + r21 * oz
+            cz += r02 * ox + r12 * oy + r22 * oz
+            scratch[CX + u], scratch[CY + u], scratch[CZ + u] = cx, cy, cz
+        wx = r00 * dx + r10 * dy + r20 * dz
+        wy = r01 * dx + r11 * dy + r21 * dz
+        wz = r02 * dx + r12 * dy + r22 * dz
+        a = wx * wx + wy * wy + np.float32(1e-7)
+        b = cx * wx + cy * wy
+        c = cx * cx + cy * cy - radius * radius
+        s = (np.sqrt(max(b * b - a * c, zero)) - b) / a
+        x, y = cx + s * wx, cy + s * wy
+        scratch[WX + u], scratch[WY + u], scratch[WZ + u] = wx, wy, wz
+        scratch[S + u], scratch[X + u], scratch[Y + u], scratch[Z + u] = s, x, y, cz + s * wz
+        scratch[NX + u], scratch[NY + u], scratch[NZ + u] = x / radius, y / radius, zero
+        scratch[OPEN + u], scratch[LEVEL + u], scratch[PLAIN + u] = one, zero, s
+
+
+def ray_table(
+    world: World, seen_by: HeadCamera, coordinate: Callable[[FloatArray], FloatArray] | None
+) -> tuple[F32, F32 | None]:
+    """Where every pixel looks: the table all cameras have, and what one without a single centre has besides.
+
+    (3, H, W): x, y of every pixel's unit ray, and how its cot(theta) on the wall changes with a pixel: a ring on the
+    wall of a clean pipe, half-angle t, is blurred by sin^2 t times that (zero where the lens sees nothing).
+    (4, H, W): x, y, z (mm) where the ray starts, and the sign of its z.
+    coordinate : along which the slide draws, of (N, 3) points in the head's frame, to take in place of cot(theta)
+    where the projector does not look along with one camera.
+    """
+    camera = seen_by.camera
+    grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
+    shape = (camera.height, camera.width, 3)
+    start, rays = (part.reshape(shape) for part in camera.lines(grid.reshape(-1, 2)))
+    across = np.hypot(rays[..., 0], rays[..., 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if camera.mirror is None:
+            theta = np.arctan2(across, rays[..., 2])
+            spread = _slope(theta) / np.sin(theta) ** 2
+            if coordinate is not None:
+                spread = _slope(coordinate(_on_wall(world, seen_by, rays.reshape(-1, 3))).reshape(theta.shape))
+            seen = (rays[..., 2] > 0) & (theta > 1e-3) & (theta < np.radians(world.optics.half_field_deg))
+        else:
+            reach = world.radius_mm - np.hypot(start[..., 0], start[..., 1])
+            spread = _slope(start[..., 2] + reach * rays[..., 2] / across) / world.radius_mm
+            eye = camera.mirror.eye_mm
+            to_eye = eye - start  # the housing of the camera, a disc about its pinhole
+            past = np.cross(to_eye, rays)
+            facing = (rays * eye).sum(axis=-1) > 0
+            seen = ~(facing & (np.linalg.norm(past, axis=-1) < world.housing_mm)) & (across > 1e-3)
+    seen &= np.isfinite(spread)
+    table = np.where(seen, np.stack([rays[..., 0], rays[..., 1], spread]), 0.0).astype(np.float32)
+    if camera.central:
+        return table, None
+    sign = np.where(rays[..., 2] < 0, -1.0, 1.0)[..., None]
+    return table, np.nan_to_num(np.concatenate([start, sign], axis=-1)).transpose(2, 0, 1).astype(np.float32).copy()
+
+
+def _on_wall(world: World, seen: HeadCamera, rays: FloatArray) -> FloatArray:
+    """(N, 3) where rays of a head that does not wobble meet the wall, in its frame."""
+    turn, centre = placed(seen)
+    middle, along = np.array([*world.centre_mm, 0.0]), np.array([0.0, 0.0, 1.0])
+    return intersect_cylinder(rays @ turn, middle, along, world.radius_mm, np.broadcast_to(centre, rays.shape))
+
+
+def _slope(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(*np.gradient(values)) if min(values.shape) > 1 else np.zeros_like(values)

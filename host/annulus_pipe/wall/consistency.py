@@ -1,0 +1,85 @@
+"""Points that the other frames of a scan contradict.
+
+A shadow's edge inside a stripe can look like a slit all along an arc, and its points then agree with one another. Other
+frames see the same wall through other rings, where the shadow falls elsewhere: they outvote it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from annulus_pipe.numeric.jit import jit
+from annulus_pipe.wall.profile import Profile
+
+# CELL_OF_RADIUS and AGREE_OF_RADIUS are guarded both ways by test_consistency.py; what all of it costs a scan shows in
+# the benchmark topics uncertainty and diameter.
+COLUMNS = 180  # cells round the pipe; a point is judged by its own cell and the eight around it
+CELL_OF_RADIUS = 0.026  # of the radius: a cell's length along the pipe, 2 mm in a 6-inch pipe
+ROWS_MAX = 40_000  # cells along the pipe; bounds memory on very long scans
+AGREE_OF_RADIUS = 0.01  # of the radius: two points this near in radius see the same wall ..
+AGREE_LEAST = 0.1  # .. and where less than this part of the other frames' points do, by weight, though ..
+OTHERS_NEEDED = 3  # .. there are so many, the point is contradicted: a step's edge has both sides about it
+SURE = 0.1  # of that radius difference: a point known better than this votes no louder
+SECTORS, MOST = (
+    12,
+    0.5,
+)  # a ring's part in so many round the pipe is wrong as a whole where more than this part of it is
+
+
+def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
+    """The same profiles less the points that the points of other frames around them contradict.
+
+    A vote weighs 1 / sigma. Who is contradicted along most of an arc is not believed on the rest of it, where fewer
+    looked: a stain that a slit crosses draws it aside all the way. How many went is added to each profile's
+    `rejected["contradicted"]`. Where few frames look, nothing is dropped.
+    """
+    points = [profile.points_mm for profile in profiles if len(profile.points_mm)]
+    if not points:
+        return tuple(profiles)
+    x, y, z = np.concatenate(points).astype(np.float64).T
+    radius = np.hypot(x, y)
+    usual = float(np.median(radius))
+    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+    size = max(CELL_OF_RADIUS * usual, float(high - low) / ROWS_MAX)
+    rows = int((high - low) / size) + 1
+    row = np.clip((z - low) / size, 0, rows - 1).astype(np.int64)
+    column = (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
+    frame = np.repeat(np.arange(len(profiles)), [len(profile.points_mm) for profile in profiles])
+    cell = row * COLUMNS + column
+    order = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[order], np.arange(rows * COLUMNS + 1))
+    said = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
+    weight = np.nan_to_num(1.0 / np.maximum(said, SURE * AGREE_OF_RADIUS * usual), nan=1.0)
+    good = np.empty(len(radius), np.bool_)
+    good[order] = _vote(
+        start, frame[order], radius[order], weight[order], row[order], column[order], rows, AGREE_OF_RADIUS * usual
+    )
+    ring = np.concatenate([profile.ring for profile in profiles]).astype(np.int64)
+    arc = ((frame * (int(ring.max()) + 1) + ring) * SECTORS) + column * SECTORS // COLUMNS
+    good &= (np.bincount(arc, weights=~good) <= MOST * np.bincount(arc))[arc]
+    out, at = [], 0
+    for profile in profiles:
+        kept = good[at : at + len(profile.points_mm)]
+        at += len(kept)
+        out.append(profile if kept.all() else profile.without(~kept, "contradicted"))
+    return tuple(out)
+
+
+@jit
+def _vote(start, frame, radius, weight, row, column, rows, slack):  # type: ignore[no-untyped-def]
+    """(N,) bool: not contradicted. Points sorted by cell, start[c] the first of cell c."""
+    good = np.ones(len(radius), np.bool_)
+    for p in range(len(radius)):
+        others = 0
+        agree, all_of_them = 0.0, 0.0
+        for r in range(max(row[p] - 1, 0), min(row[p] + 2, rows)):
+            for step in range(-1, 2):
+                cell = r * COLUMNS + (column[p] + step) % COLUMNS
+                for q in range(start[cell], start[cell + 1]):
+                    if frame[q] != frame[p]:
+                        others += 1
+                        all_of_them += weight[q]
+                        if abs(radius[q] - radius[p]) <= slack:
+                            agree += weight[q]
+        good[p] = others < OTHERS_NEEDED or agree >= AGREE_LEAST * all_of_them
+    return good

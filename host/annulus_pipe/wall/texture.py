@@ -1,0 +1,190 @@
+"""The wall's colour from LED frames, on the same grid as its radius."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wall.centreline import Centreline
+from annulus_pipe.wall.grid import Wall
+from annulus_pipe.wall.profile import Profile
+
+# FARTHEST_OF_RADIUS is guarded downwards by test_texture_shows_a_stain_where_it_is; the others: unguarded.
+NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.4, 2.2  # of the radius: distances ahead from which colour is taken
+LIGHT_FRAMES = 8  # how many frames teach the fall-off of the LED light along the pipe
+HIDDEN = 0.85  # of another camera's brightness: a cell seen darker is hidden by what is before it; test_texture
+BLACK = 4.0  # grey levels of a dark pixel; a cell must be brighter than this to have a colour
+
+
+@dataclass(frozen=True, slots=True)
+class LedFrame:
+    """One frame lit by the LED ring: its index and station, and the image, (H, W, 3) uint8 BGR."""
+
+    index: int
+    z_mm: float
+    image_bgr: NDArray[np.uint8]
+    camera: int = 0  # id; of a head with several
+
+
+@dataclass(frozen=True, slots=True)
+class _Patch:
+    first_row: int
+    colour: NDArray[np.float32]  # (rows, A, 3) BGR, NaN where not in the image
+    ahead: FloatArray  # (rows,) mm
+
+
+def pose_at(profiles: Sequence[Profile], z_mm: float) -> Pose | None:
+    """The pose at a station, between those of the profiles before and after it; None without any pose."""
+    known = sorted(((p.z_mm, p.pose) for p in profiles if p.pose is not None), key=lambda known: known[0])
+    if not known:
+        return None
+    z = [item[0] for item in known]
+    values = [[getattr(pose, name) for _, pose in known] for name in ("rx", "ry", "tx", "ty")]
+    rolls = [pose.roll for _, pose in known if pose.roll is not None]
+    if len(rolls) == len(known):
+        values.append(list(np.unwrap(rolls)))
+    return Pose(*(float(np.interp(z_mm, z, value)) for value in values))
+
+
+def paint(
+    wall: Wall,
+    centreline: Centreline,
+    calibration: Calibration,
+    profiles: Sequence[Profile],
+    frames: Iterable[LedFrame],
+) -> NDArray[np.uint8] | None:
+    """Colour of every cell, (Z, A, 4) uint8 RGBA, alpha 0 where no LED frame saw it; None without a usable frame.
+
+    Each cell takes the mean of the frames that saw it, the near and therefore sharp ones counting most (weight falls
+    with the fourth power of the distance ahead, as the area a pixel covers does). The fall-off of the LED light along
+    the pipe is learned from the frames themselves: at each distance ahead, the median over the clock and the frames.
+    """
+    sums: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}  # by camera: weighted colours, weights
+    waiting: dict[int, list[_Patch]] = {}  # by camera: each has its own light
+    light: dict[int, FloatArray] = {}
+    points = _surface(wall)
+    for frame in frames:
+        pose = pose_at(profiles, frame.z_mm)
+        patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
+        if patch is None:
+            continue
+        if frame.camera not in sums:
+            shape = wall.radius_mm.shape
+            sums[frame.camera] = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
+        if frame.camera in light:
+            _add(*sums[frame.camera], patch, light[frame.camera], wall)
+            continue
+        first = waiting.setdefault(frame.camera, [])
+        first.append(patch)
+        if len(first) == LIGHT_FRAMES:
+            light[frame.camera] = _learn(*sums[frame.camera], first, wall)
+    if not waiting:
+        return None
+    for camera, first in waiting.items():
+        if camera not in light:
+            light[camera] = _learn(*sums[camera], first, wall)
+    total, weight = _unhidden(list(sums.values()))
+    seen = weight > 0
+    colour = total / np.maximum(weight, 1e-12)[..., None]
+    bright = np.percentile(colour[seen].max(axis=1), 99) if seen.any() else 1.0
+    out = np.zeros((*seen.shape, 4), dtype=np.uint8)
+    out[..., :3] = np.clip(colour[..., ::-1] * (235.0 / max(float(bright), 1e-6)), 0, 255).astype(np.uint8)
+    out[..., 3] = np.where(seen, 255, 0)
+    return out
+
+
+def _unhidden(
+    sums: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The sums of all cameras, without those that see a cell much darker than another does: something is before it."""
+    if len(sums) == 1:
+        return sums[0]
+    bright = np.stack([total.max(axis=2) / np.maximum(weight, 1e-12) for total, weight in sums])
+    clear = bright > HIDDEN * bright.max(axis=0)
+    total = sum(np.where(ok[..., None], one, 0) for ok, (one, _) in zip(clear, sums, strict=True))
+    weight = sum(np.where(ok, one, 0) for ok, (_, one) in zip(clear, sums, strict=True))
+    return np.asarray(total, np.float32), np.asarray(weight, np.float32)
+
+
+def _learn(
+    total: NDArray[np.float32], weight: NDArray[np.float32], patches: Sequence[_Patch], wall: Wall
+) -> FloatArray:
+    """The fall-off of a camera's light from its first frames, which are added with it."""
+    light = _light(patches, wall)
+    for patch in patches:
+        _add(total, weight, patch, light, wall)
+    return light
+
+
+def _surface(wall: Wall) -> FloatArray:
+    t = np.radians(wall.clock_deg)
+    radius = wall.filled_mm().astype(np.float64)
+    z = np.broadcast_to(wall.z_mm[:, None], radius.shape)
+    return np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1)
+
+
+def pixels_of(
+    points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
+) -> FloatArray:
+    """Where points of the wall, (N, 3) mm in the pipe frame, lie in a frame that was taken with this pose at z_mm by
+    this camera (its id): (N, 2) pixels, NaN of what is not before it."""
+    seen = pose.to_camera(centreline.to_head(points, z_mm))
+    own = next((one for one in calibration.cameras if one.id == camera), calibration.cameras[0])
+    if calibration.others:
+        seen = seen @ np.array(own.rotation).T + own.translation_mm
+    pixels = own.camera.project(seen)
+    pixels[seen[:, 2] < 1.0] = np.nan
+    return pixels
+
+
+def _look(
+    wall: Wall, points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
+) -> _Patch | None:
+    """What one frame shows of the grid's cells within reach; None when it shows nothing of it."""
+    radius = wall.mean_radius_mm
+    reach = (frame.z_mm + NEAREST_OF_RADIUS * radius, frame.z_mm + FARTHEST_OF_RADIUS * radius)
+    first, last = np.searchsorted(wall.z_mm, reach)
+    if first == last:
+        return None
+    part = points[first:last]
+    pixels = pixels_of(part.reshape(-1, 3), centreline, calibration, pose, frame.z_mm, frame.camera)
+    height, width = frame.image_bgr.shape[:2]
+    inside = (pixels[:, 0] >= 1) & (pixels[:, 0] <= width - 2) & (pixels[:, 1] >= 1) & (pixels[:, 1] <= height - 2)
+    if not inside.any():
+        return None
+    grid = np.where(inside[:, None], pixels, -1.0).astype(np.float32).reshape(*part.shape[:2], 2)
+    sampled = cv2.remap(frame.image_bgr, grid, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    colour = np.where(inside.reshape(part.shape[:2])[..., None], sampled.astype(np.float32), np.float32(np.nan))
+    return _Patch(int(first), colour, wall.z_mm[first:last] - frame.z_mm)
+
+
+def _light(patches: Sequence[_Patch], wall: Wall) -> FloatArray:
+    """(B,) median brightness per grid step of distance ahead, from 0 to the farthest; NaN where nothing was seen."""
+    bins: dict[int, list[float]] = {}
+    for patch in patches:
+        brightness = np.nanmax(np.nan_to_num(patch.colour, nan=-1.0), axis=2)
+        for distance, line in zip(patch.ahead, brightness, strict=True):
+            seen = line[line > BLACK]
+            if len(seen):
+                bins.setdefault(round(distance / wall.z_step_mm), []).append(float(np.median(seen)))
+    out = np.full(round(FARTHEST_OF_RADIUS * wall.mean_radius_mm / wall.z_step_mm) + 2, np.nan)
+    for i, values in bins.items():
+        out[min(i, len(out) - 1)] = np.median(values)
+    return out
+
+
+def _add(total: NDArray[np.float32], weight: NDArray[np.float32], patch: _Patch, light: FloatArray, wall: Wall) -> None:
+    gain = light[np.clip(np.rint(patch.ahead / wall.z_step_mm).astype(int), 0, len(light) - 1)]
+    near = (wall.mean_radius_mm / patch.ahead) ** 4
+    brightness = np.nanmax(np.nan_to_num(patch.colour, nan=-1.0), axis=2)
+    ok = (brightness > BLACK) & np.isfinite(gain)[:, None]
+    w = np.where(ok, near[:, None], 0.0).astype(np.float32)
+    scaled = np.nan_to_num(patch.colour / gain[:, None, None].astype(np.float32), nan=0.0)
+    rows = slice(patch.first_row, patch.first_row + len(patch.ahead))
+    total[rows] += scaled * w[..., None]
+    weight[rows] += w

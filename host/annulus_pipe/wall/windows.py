@@ -1,0 +1,225 @@
+"""A pipe too long to be surveyed at once, in windows: what each of them looks at, and what of its survey is its own.
+
+A window is a stretch of pipe between two cuts. It is surveyed with a halo of two diameters on either side, so that
+whatever lies at a cut has all its neighbours on both sides of it, and only what lies between the cuts is kept
+(`between`). Rows of all windows are of one length and lie on one grid, and cuts lie between rows: what was kept of two
+neighbours stands side by side without a seam. What lies across a cut is found by both, and told once (`joined.py`).
+
+Where windows are cut follows from the points alone: not from who works on them, nor how many do.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+
+from annulus_pipe.numeric.arrays import FloatArray, IntArray
+from annulus_pipe.wall.grid import Observations, Wall, z_step_of
+from annulus_pipe.wall.lost import lost_rings
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey, stations_of
+
+HALO_OF_RADIUS = 4.0  # of the nominal radius: two diameters, beside either end
+CORE_OF_RADIUS = 4.0  # .. and the least that a window keeps
+CUT_MM = 100.0  # a cut lies at a multiple: a whole number of rows and of stations of every grid
+POINTS_MAX = 2_000_000  # of a window: 300 bytes a point while it is surveyed; tools/bench/speed/long_scan.py
+STRAY = 1.0  # percent of a frame's points that may lie anywhere
+WHOLE_ROWS_MAX = 10_000  # of the map of the whole
+ROW_STEPS_MM = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # of that map, where rows are to be joined
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Of one frame: how many points it has, and from where to where along the pipe they lie, mm, strays left out."""
+
+    points: int
+    low_mm: float
+    high_mm: float
+
+    @classmethod
+    def of(cls, profile: Profile) -> "Reach | None":
+        """None of a frame without a point."""
+        if profile.pose is None or not len(profile.points_mm):
+            return None
+        low, high = np.percentile(profile.points_mm[:, 2].astype(np.float64), [STRAY, 100.0 - STRAY])
+        return cls(len(profile.points_mm), float(low), float(high))
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The first from minus, the last to plus infinity. frames : numbers of those whose points lie in it or in its halo,
+    rising. thinned : how many more did, and were left out, so evenly as may be, for there were too many."""
+
+    first_mm: float
+    last_mm: float
+    frames: tuple[int, ...]
+    thinned: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Windows in the order of the pipe; the length of a row of each and of the map of the whole, mm."""
+
+    windows: tuple[Window, ...]
+    z_step_mm: float
+    whole_step_mm: float
+
+
+def plan(reaches: Sequence[Reach | None], radius_mm: float, points_max: int = POINTS_MAX) -> Plan:
+    """How a scan is cut, or is not: one window of all frames where they have no more points than `points_max` together.
+
+    reaches : of every projector frame, in their order. radius_mm : nominal.
+    """
+    at = np.array([i for i, one in enumerate(reaches) if one is not None], np.int64)
+    known = _Frames.of([one for one in reaches if one is not None])
+    total = int(known.points.sum())
+    if total <= points_max:
+        return Plan((Window(-math.inf, math.inf, tuple(range(len(reaches)))),), math.nan, math.nan)
+    begin, end = float(known.low_mm[0]), float(known.farthest_mm[-1])
+    first = known.windows(begin, end, radius_mm, CUT_MM, points_max)
+    used = sum(len(frames) for _, _, frames, _ in first) / sum(len(frames) + more for _, _, frames, more in first)
+    step = z_step_of(round(total * used), end - begin)
+    whole = next(
+        (s for s in (step, *ROW_STEPS_MM) if s % step == 0.0 and (end - begin) / s <= WHOLE_ROWS_MAX), ROW_STEPS_MM[-1]
+    )
+    cuts = first if whole <= CUT_MM else known.windows(begin, end, radius_mm, whole, points_max)
+    windows = tuple(Window(a, b, tuple(int(i) for i in at[frames]), more) for a, b, frames, more in cuts)
+    return Plan(windows, step, float(whole))
+
+
+@dataclass(frozen=True, slots=True)
+class _Frames:
+    """Frames with points, sorted by where those begin."""
+
+    own_points: IntArray  # as they came
+    order: IntArray  # which of those each is
+    points: IntArray
+    low_mm: FloatArray
+    high_mm: FloatArray
+    farthest_mm: FloatArray  # that one of them or of those before reaches
+
+    @classmethod
+    def of(cls, reaches: Sequence[Reach]) -> "_Frames":
+        low, high = np.array([one.low_mm for one in reaches]), np.array([one.high_mm for one in reaches])
+        points = np.array([one.points for one in reaches], np.int64)
+        order = np.argsort(low, kind="stable")
+        high = high[order]
+        return cls(points, order, points[order], low[order], high, np.maximum.accumulate(high) if len(high) else high)
+
+    def windows(
+        self, begin: float, end: float, radius_mm: float, cut_mm: float, most: int
+    ) -> list[tuple[float, float, IntArray, int]]:
+        """From, to, frames and how many more were left out, of every window between cuts at multiples of `cut_mm`."""
+        halo, least = HALO_OF_RADIUS * radius_mm, max(CORE_OF_RADIUS * radius_mm, cut_mm)
+        cuts, place = [-math.inf], begin
+        while (place := self.farthest_cut(place, halo, least, cut_mm, most)) + least <= end:
+            cuts.append(place)
+        out = []
+        for first, last in pairwise([*cuts, math.inf]):
+            inside = np.sort(self.between(first - halo, last + halo))
+            kept = _thinned(inside, self.own_points, most)
+            out.append((first, last, kept, len(inside) - len(kept)))
+        return out
+
+    def between(self, first_mm: float, last_mm: float) -> IntArray:
+        """Those that have points there, as they came."""
+        a, b = self._stretch(first_mm, last_mm)
+        return np.asarray(self.order[a:b][self.high_mm[a:b] >= first_mm])
+
+    def _stretch(self, first_mm: float, last_mm: float) -> tuple[int, int]:
+        begin = np.searchsorted(self.farthest_mm, first_mm, side="left")
+        return int(begin), int(np.searchsorted(self.low_mm, last_mm, side="right"))
+
+    def farthest_cut(self, begin: float, halo: float, least: float, cut_mm: float, most: int) -> float:
+        """The farthest cut that keeps a window's points few enough; the nearest that may be where none does; infinity
+        where all that is left is few enough."""
+        a, _ = self._stretch(begin - halo, math.inf)
+        entered = np.cumsum(np.where(self.high_mm[a : a + most] >= begin - halo, self.points[a : a + most], 0))
+        over = int(np.searchsorted(entered, most, side="right"))
+        if over >= len(entered):
+            return math.inf
+        nearest = cut_mm * math.ceil((begin + least) / cut_mm)
+        return max(nearest, cut_mm * math.floor((float(self.low_mm[a + over]) - halo) / cut_mm))
+
+
+def _thinned(inside: IntArray, points: IntArray, most: int) -> IntArray:
+    """Every n-th of the frames where they have too many points: where a head stood still, all see the same."""
+    n = max(1, math.ceil(int(points[inside].sum()) / (2 * most)))  # the nearest cut may hold more, up to twice as many
+    return inside[::n]
+
+
+def between(survey: Survey, window: Window) -> Survey:
+    """What of a window's survey lies between its cuts. What reaches over a cut is kept whole; a frame's account (what
+    was rejected, where the camera was) is of the window that the head was in."""
+    first, last = window.first_mm, window.last_mm
+    wall, (a, b) = survey.wall, _rows(survey.wall, first, last)
+    part = _part(wall, a, b)
+    kept = [i for i, one in enumerate(survey.defects) if _touches(one.z_range_mm, first, last)]
+    number = np.zeros(len(survey.defects) + 1, np.int32)
+    number[[i + 1 for i in kept]] = np.arange(1, len(kept) + 1)
+    found = survey.detection
+    detection = replace(
+        found,
+        defects=tuple(survey.defects[i] for i in kept),
+        label=number[found.label[a:b]],
+        undecided=tuple(one for one in found.undecided if first <= one.z_mm < last),
+    )
+    no_wall = None if survey.no_wall is None else survey.no_wall[a:b]
+    return replace(
+        survey,
+        profiles=tuple(one for one in (_of(profile, first, last) for profile in survey.profiles) if one is not None),
+        wall=part,
+        shadowed=survey.shadowed[a:b],
+        detection=detection,
+        stations=stations_of(part, no_wall),
+        texture=None if survey.texture is None else survey.texture[a:b],
+        no_wall=no_wall,
+        features=tuple(one for one in survey.features if _touches(one.z_range_mm, first, last)),
+        unjudged=tuple(
+            replace(one, z_from_mm=max(one.z_from_mm, first), z_to_mm=min(one.z_to_mm, last))
+            for one in survey.unjudged
+            if one.z_to_mm > first and one.z_from_mm < last
+        ),
+        # reported once, by the window that it begins in
+        disbelieved=(*survey.disbelieved, *(one.finding for one in survey.standing if first <= one.z_from_mm < last)),
+        standing=(),
+        rings_lost=lost_rings(survey.profiles),  # of whole frames: at a cut only some of their rings are kept
+    )
+
+
+def _rows(wall: Wall, first_mm: float, last_mm: float) -> tuple[int, int]:
+    a, b = np.searchsorted(wall.z_mm, [first_mm, last_mm])
+    return int(a), int(b)
+
+
+def _part(wall: Wall, a: int, b: int) -> Wall:
+    seen, columns = wall.observations, len(wall.clock_deg)
+    inside = (seen.cell >= a * columns) & (seen.cell < b * columns)
+    observations = Observations(**{one.name: getattr(seen, one.name)[inside] for one in fields(seen)})
+    whole = ("clock_deg", "observations", "scale_part", "oval_part")
+    along = {one.name: getattr(wall, one.name)[a:b] for one in fields(wall) if one.name not in whole}
+    return replace(wall, **along, observations=replace(observations, cell=observations.cell - a * columns))
+
+
+def _touches(z_range_mm: tuple[float, float], first_mm: float, last_mm: float) -> bool:
+    return z_range_mm[1] >= first_mm and z_range_mm[0] < last_mm
+
+
+def _of(profile: Profile, first_mm: float, last_mm: float) -> Profile | None:
+    """What of a frame is a window's; None where nothing is."""
+    inside = (profile.points_mm[:, 2] >= first_mm) & (profile.points_mm[:, 2] < last_mm)
+    own = first_mm <= profile.z_mm < last_mm
+    if not own and not inside.any():
+        return None
+    return replace(
+        profile,
+        points_mm=profile.points_mm[inside],
+        colour=profile.colour[inside],
+        ring=profile.ring[inside],
+        direction=profile.direction[inside],
+        sigma_mm=profile.sigma_mm[inside],
+        seen_by=profile.seen_by[inside],
+        rejected=profile.rejected if own else {},
+    )
