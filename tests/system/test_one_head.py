@@ -20,11 +20,11 @@ from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
 from annulus_pipe.sensors.i2c import I2cSensors
 from annulus_pipe.sensors.imu import Mpu6050
 from annulus_pipe.sensors.ina226 import Ina226, Rail
-from annulus_pipe.twin.capacitance import Bore, Ground
 from annulus_pipe.twin.head import start_head
 from annulus_pipe.twin.i2c_chips import HeadBus
 from annulus_pipe.twin.worlds import demo_world
 from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wings.crossbore.ground import Bore, Ground
 
 pytestmark = [
     pytest.mark.alone,

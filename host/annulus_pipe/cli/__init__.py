@@ -10,26 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus_pipe.cli import (
-    archive,
-    bore,
-    burst,
-    calibrate,
-    doctor,
-    firmware,
-    head,
-    joint,
-    pattern,
-    record,
-    reference,
-    selftest,
-    tai,
-    twin,
-)
+from annulus_pipe.cli import archive, calibrate, doctor, firmware, head, pattern, record, reference, selftest, twin
 from annulus_pipe.cli import console as console_page
-from annulus_pipe.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus_pipe.cli.export import export
-from annulus_pipe.cli.fringe import BY, By
 from annulus_pipe.cli.manual import docs
 from annulus_pipe.cli.pdf import Sheet, on_paper
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
@@ -43,6 +26,12 @@ from annulus_pipe.cli.tune import tune
 from annulus_pipe.numeric.compiling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore import commands as bore
+from annulus_pipe.wings.fringe.words import BY, By
+from annulus_pipe.wings.joints import commands as joint
+from annulus_pipe.wings.joints import dogbone_commands as dogbones  # noqa: F401
+from annulus_pipe.wings.tai import burst_commands as burst
+from annulus_pipe.wings.tai import commands as tai
 
 if TYPE_CHECKING:
     from annulus_pipe.job import JobSheet
@@ -57,8 +46,23 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, reference, pattern, tai, joint, bore, archive, firmware, selftest, twin, record):
-    app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+_NOUNS = {
+    "head": head,
+    "burst": burst,
+    "calibrate": calibrate,
+    "reference": reference,
+    "pattern": pattern,
+    "tai": tai,
+    "joint": joint,
+    "bore": bore,
+    "archive": archive,
+    "firmware": firmware,
+    "selftest": selftest,
+    "twin": twin,
+    "record": record,
+}
+for _name, _noun in _NOUNS.items():
+    app.add_typer(_noun.app, name=_name)
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
 app.command(epilog=REPROCESS_EXAMPLE)(reprocess)

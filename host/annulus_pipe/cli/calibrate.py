@@ -446,9 +446,9 @@ def fringe(
     A slide of rings: in a clean pipe of known radius, the head some millimetres aside (tx_mm right, ty_mm down), three
     frames or more. It begins with the slide's design.
     """
-    from annulus_pipe.calibrate.fringe import calibrate_fringe, save_fringe
-    from annulus_pipe.cli.fringe import show_plate
     from annulus_pipe.record.calibration_file import projects_rings
+    from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
+    from annulus_pipe.wings.fringe.words import show_plate
 
     if projects_rings(design or camera):
         if distance is not None:
@@ -468,8 +468,8 @@ def fringe(
 
 
 def _fringe_pipe(scan: Path, camera: Path, slide: Path | None, radius: float | None, out: Path, as_json: bool) -> None:
-    from annulus_pipe.calibrate.fringe_pipe import calibrate_fringe_pipe, save_fringe_pipe
-    from annulus_pipe.cli.fringe import show_pipe
+    from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe, save_fringe_pipe
+    from annulus_pipe.wings.fringe.words import show_pipe
 
     with progress() as bars:
         result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius, progress=bars)

@@ -170,8 +170,8 @@ def _fringe(
     out: Path,
     as_json: bool,
 ) -> None:
-    from annulus_pipe.calibrate.fringe_slide import write_ring_slide
-    from annulus_pipe.fringe import ring_slide
+    from annulus_pipe.wings.fringe.measure import ring_slide
+    from annulus_pipe.wings.fringe.slide_drawing import write_ring_slide
 
     if period_mm is None or distance_mm is None or inner_deg is None or outer_deg is None or focal_mm is None:
         raise AnnulusError(

@@ -23,7 +23,6 @@ import zmq
 
 from annulus_pipe.capture.camera import Camera
 from annulus_pipe.daemon.account import Account, ScanReport
-from annulus_pipe.daemon.bores import Bores
 from annulus_pipe.daemon.camera_feed import CameraFeed
 from annulus_pipe.daemon.config import HeadConfig, require_size
 from annulus_pipe.daemon.controller_line import REST_S, ControllerLine, line_numbers
@@ -42,6 +41,7 @@ from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
+from annulus_pipe.wings.crossbore.live import Bores
 
 TELEMETRY_S = 1.0
 CHORES_S = 0.02  # between two looks at sensors, states and sockets

@@ -59,7 +59,9 @@ def _environment() -> jinja2.Environment:
 
 
 def _template(name: str) -> str | None:
-    here = resources.files("annulus_pipe.report").joinpath(name)
+    """PACKAGE/NAME, of another room's; NAME alone is one of the report's own."""
+    package, _, own = name.rpartition("/")
+    here = resources.files(package or "annulus_pipe.report").joinpath(own)
     return here.read_text(encoding="utf-8") if here.is_file() else None
 
 

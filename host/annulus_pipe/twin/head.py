@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.link.pins import AS_WIRED, Pins, pins_list
-from annulus_pipe.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.profiles import load_faults
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, demo_world, mirror_fringe_world, series_world, stereo_world
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.ground import ROOM_M, Ground, some_ground
 
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232

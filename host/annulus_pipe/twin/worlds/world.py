@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.fringe import FringeProjector, Lamp, lamps_to_list, projector_to_dict
 from annulus_pipe.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector, matrix_of, vector_of
 from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
@@ -25,6 +24,7 @@ from annulus_pipe.twin.worlds.features import Feature
 from annulus_pipe.twin.worlds.paint import WHITE, print_line, stain
 from annulus_pipe.twin.worlds.sensor_head import Fringe, Fringes, Led, Optics, Projector, Rod
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.fringe.measure import FringeProjector, Lamp, lamps_to_list, projector_to_dict
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
