@@ -99,7 +99,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             for one, part in survey.seen_by_fraction().items()
         }
     if survey.lane is not None:
-        out["sectors"] = {"told": survey.lane.told, "places": [asdict(mark) for mark in survey.lane.marks]}
+        out["sectors"] = {"told": survey.lane.remark, "places": [asdict(mark) for mark in survey.lane.marks]}
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
     if account.verdict is not None:
