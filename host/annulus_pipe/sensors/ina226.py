@@ -65,6 +65,6 @@ class Ina226(Chip):
         dark = bool(self.lit) and 1000 * amperes < self._rail.draws_ma
         limit = self._rail.limit_a(self.head_c)
         wrong = {"undervoltage": volts < self._rail.least_v, "overcurrent": abs(amperes) > limit, "draws_nothing": dark}
-        said = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
+        measured = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
         units = {"voltage_v": "V", "current_a": "A", "current_limit_a": "A"}
-        return said | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")
+        return measured | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")
