@@ -69,9 +69,9 @@ class Findings:
         self.diameter_mm = self.k2_mm = math.nan
         self._diameter_mm = diameter_mm
 
-    def take_over(self, told: Mapping[str, Any]) -> None:
-        """What `to_dict` has told; nothing is known of how it looks from close by."""
-        for one in told["defects"]:
+    def take_over(self, summary: Mapping[str, Any]) -> None:
+        """Goes on from what `to_dict` gave; close-ups are not among it."""
+        for one in summary["defects"]:
             k2 = math.nan if one["depth_k2_mm"] is None else one["depth_k2_mm"]
             defect = Defect(
                 Kind(one["kind"]),
@@ -86,7 +86,7 @@ class Findings:
             )
             self.known.append(Found(one["id"], defect, tuple(one["frames"])))
         self._number = 1 + max((one.id for one in self.known), default=0)
-        looked = told.get("looked_mm")
+        looked = summary.get("looked_mm")
         self.looked_mm = (looked[0], looked[1]) if looked else None
 
     def look(self, survey: Survey, way: int, begins: bool, ends: bool) -> list[Found]:
