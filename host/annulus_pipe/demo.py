@@ -154,7 +154,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
             pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, LedFrames(job))
             truth = _truth(world, pipe)
             write(pipe, _account(job, pipe, report, pace, late, truth), out)
-    for line in _said(out, pipe, truth, time.monotonic() - begun):
+    for line in _closing_lines(out, pipe, truth, time.monotonic() - begun):
         print(line)
 
 
@@ -176,8 +176,8 @@ def measure_pace(world: World) -> Pace:
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
     save_calibration(out / "calibration.json", world.calibration())
-    told = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
-    here = f'{told}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
+    job = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
+    here = f'{job}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
     (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
     return load_config(out / "head.toml")
 
@@ -281,7 +281,7 @@ def _truth(world: World, pipe: Survey) -> dict[str, Any]:
     return {**numbers, **scored}
 
 
-def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> list[str]:
+def _closing_lines(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> list[str]:
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
