@@ -61,10 +61,10 @@ class Comparison:
         oval, at = self.ovality, self.ovality.worst
         if at is None:
             return "Ovality: no station was seen by both."
-        told = " and that is no more than may be off" if abs(oval.change[at]) <= oval.change_k2[at] else ""
+        remark = " and that is no more than may be off" if abs(oval.change[at]) <= oval.change_k2[at] else ""
         return (
             f"Ovality changed most at {said(oval.z_mm[at], DISTANCE)}, from {said(oval.first[at], PERCENT)} to "
-            f"{said(oval.second[at], PERCENT)}, by {said(oval.change[at], PERCENT, oval.change_k2[at])}{told}."
+            f"{said(oval.second[at], PERCENT)}, by {said(oval.change[at], PERCENT, oval.change_k2[at])}{remark}."
         )
 
     def diameter_sentence(self) -> str:
@@ -122,8 +122,8 @@ class Comparison:
             "agreement_sigma": _number(one.sure, 1),
             "z_k2_median_mm": _number(2 * _median(one.sigma_z_mm)),
             "roll_k2_median_deg": _number(2 * _median(one.sigma_roll_deg)),
-            "growth": [_told(change) for change in self.changed],
-            "unchanged": [_told(change) for change in size.changes if change.verdict not in CHANGED],
+            "growth": [_change_dict(change) for change in self.changed],
+            "unchanged": [_change_dict(change) for change in size.changes if change.verdict not in CHANGED],
             "ovality": {
                 "definition": "ASTM F1216, of the pipe's shape without defects",
                 "says": self.ovality_sentence(),
@@ -216,7 +216,7 @@ def _about(wall: WallMap) -> dict[str, Any]:
     }
 
 
-def _told(one: Change) -> dict[str, Any]:
+def _change_dict(one: Change) -> dict[str, Any]:
     return {
         "z_mm": _number(one.z_mm, 1),
         "clock_deg": _number(one.clock_deg, 1),

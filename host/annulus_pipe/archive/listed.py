@@ -97,21 +97,19 @@ def _floor(one: Place) -> Floor:
 def named(changes: Sequence[Change], listed: Sequence[Listed], oval: Ovality, radius_mm: float) -> tuple[Change, ...]:
     """All changes with the names of the listed defects that lie there, and one more for what no change of the wall's
     detail can tell of: ovality, by its stations; what goes all round; what lies beyond the first's ends."""
-    entries: list[tuple[Change, tuple[list[str], list[str]]]] = [(change, ([], [])) for change in changes]
+    rows: list[tuple[Change, tuple[list[str], list[str]]]] = [(change, ([], [])) for change in changes]
     apart: list[tuple[Listed, int]] = []
     for one in listed:
-        at = [] if one.all_round else [k for k in range(len(changes)) if one.lies_at(entries[k][0])]
+        at = [] if one.all_round else [k for k in range(len(changes)) if one.lies_at(rows[k][0])]
         if not at:
-            at = [k for other, k in apart if (other.year, other.kind) == (0, one.kind) and one.lies_at(entries[k][0])][
-                :1
-            ]
+            at = [k for other, k in apart if (other.year, other.kind) == (0, one.kind) and one.lies_at(rows[k][0])][:1]
         if not at:
-            at = [len(entries)]
+            at = [len(rows)]
             apart.append((one, at[0]))
-            entries.append((_of_ovality(one, oval, radius_mm) if one.kind == OVAL else _untold(one), ([], [])))
+            rows.append((_of_ovality(one, oval, radius_mm) if one.kind == OVAL else _untold(one), ([], [])))
         for k in at:
-            entries[k][1][one.year].append(one.name)
-    whole = [replace(change, first=" ".join(mine), second=" ".join(theirs)) for change, (mine, theirs) in entries]
+            rows[k][1][one.year].append(one.name)
+    whole = [replace(change, first=" ".join(mine), second=" ".join(theirs)) for change, (mine, theirs) in rows]
     return tuple(sorted(whole, key=lambda change: change.z_mm))
 
 

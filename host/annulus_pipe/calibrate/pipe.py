@@ -245,9 +245,9 @@ def check_radius(radius_mm: float) -> None:
 
 def save_pipe(result: PipeCalibration, out: Path) -> None:
     """Write rings, pattern, camera and pipe into `out`; other sections in it stay."""
-    data, told = result.calibration.to_dict(), result.to_dict()
+    data, figures = result.calibration.to_dict(), result.to_dict()
     made = {
-        key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
+        key: figures[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
     }
     kept = "camera" if "camera" in data else "cameras"
     sections = {key: data[key] for key in (kept, "pattern", "rings", "pipe", "covariance")}

@@ -78,9 +78,9 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
 
 def _job(origin: Origin) -> Iterator[tuple[str, str]]:
     """Every field, whether somebody said it or not."""
-    told = origin.job.to_dict()
+    sheet = origin.job.to_dict()
     for name, words in WORDS.items():
-        value = told.get(name)
+        value = sheet.get(name)
         if name in SHEET_UNITS and value is not None:
             yield words, f"{value:g}{SHEET_UNITS[name]}"
         elif name == "date" and value is None and origin.utc[0]:

@@ -55,7 +55,7 @@ def write_joint_page(folder: Path) -> Path:
             relations=relations,
             light=light,
             n=correlated.get("n"),
-            said=_said(features["summary"], flaws, scan, relations),
+            said=_sentences(features["summary"], flaws, scan, relations),
         )
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
         raise AnnulusError(f"{source}: {error}: expected what `annulus joint image` writes") from None
@@ -67,7 +67,7 @@ def write_joint_page(folder: Path) -> Path:
     return out
 
 
-def _said(
+def _sentences(
     summary: dict[str, Any], flaws: list[dict[str, Any]], scan: dict[str, Any] | None, relations: dict[str, Any]
 ) -> list[str]:
     kinds = [one["kind"] for one in flaws]

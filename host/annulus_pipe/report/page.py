@@ -178,25 +178,25 @@ def _verdict(survey: Survey) -> str:
             f"{damage}. Deepest: {_name(worst).lower()} of {_depth(worst)} (k=2) "
             f"at {said(worst.z_mm, DISTANCE)}, clock {worst.clock}."
         )
-    told = [damage]
+    sentences = [damage]
     named = [feature.kind for feature in survey.features]
     if named:
         counts = (_count(named.count(kind), *COUNTED[kind]) for kind in FeatureKind if kind in named)
-        told.append(f"Also in the pipe: {', '.join(counts)}.")
+        sentences.append(f"Also in the pipe: {', '.join(counts)}.")
     if undecided:
-        told.append(
+        sentences.append(
             f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
         )
     if holes := sum(one.is_hole and not one.usual for one in survey.unjudged):
-        told.append(
+        sentences.append(
             f"{_count(holes, 'place of the wall was', 'places of the wall were')} not seen: see below, where and why."
         )
     missed = {finding.kind for finding in survey.findings}
     if NOT_ENOUGH in missed:
-        told.append("Not enough of it was seen to say what shape the pipe has: see below.")
+        sentences.append("Not enough of it was seen to say what shape the pipe has: see below.")
     if RING_LOST in missed:
-        told.append("A ring of the pattern was lost: see below.")
-    return " ".join(told)
+        sentences.append("A ring of the pattern was lost: see below.")
+    return " ".join(sentences)
 
 
 def _look(survey: Survey) -> str:
