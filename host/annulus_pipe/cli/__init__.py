@@ -150,7 +150,7 @@ def reconstruct(
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
-    told: Annotated[
+    show_as: Annotated[
         Bars,
         typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
     ] = Bars.BAR,
@@ -185,19 +185,19 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, told, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, show_as, as_json)
         else:
             for option, named in (("--job", job), ("--limits", limits)):
                 if named:
                     raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
-            _reconstruct_fringe(scan, calibration, out, by, printed, told, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, printed, show_as, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
     origin = origin_of(work.scan, calibration, sheet)
     look_at(work)  # what is refused is refused before loops are compiled
     prepare_folder(out)
     make_ready(work.calibration, tell)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         place, beside = Place(out.absolute()), Told(str(scan), origin, criteria)
         done = surveyed(
             work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
@@ -222,7 +222,7 @@ def _reconstruct_fringe_pipe(
     sheet: "JobSheet",
     criteria: "Criteria | None",
     printed: "Paper | None",
-    told: Bars,
+    show_as: Bars,
     as_json: bool,
 ) -> None:
     from annulus_pipe.record.origin import origin_of
@@ -233,7 +233,7 @@ def _reconstruct_fringe_pipe(
     job = open_fringe_pipe(scan, calibration)
     origin = origin_of(job.scan, calibration, sheet)
     prepare_folder(out)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
@@ -264,7 +264,7 @@ def _reconstruct_fringe_pipe(
 
 
 def _reconstruct_fringe(
-    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", told: Bars, as_json: bool
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", show_as: Bars, as_json: bool
 ) -> None:
     from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus_pipe.report import Account, prepare_folder, write_plate
@@ -272,7 +272,7 @@ def _reconstruct_fringe(
 
     job = open_fringe(scan, calibration, "cameras" if by is By.CAMERAS else "slide")
     prepare_folder(out)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
@@ -434,8 +434,8 @@ def _is_short_of_memory(error: Exception) -> bool:
     """Whether this is how Python, the system or the loader of libraries says that there is no memory left."""
     if isinstance(error, OSError):
         return error.errno == errno.ENOMEM
-    said = {RuntimeError: "can't start new thread", ImportError: "cannot allocate memory"}
-    return isinstance(error, MemoryError) or said.get(type(error), "\0") in str(error).lower()
+    signs = {RuntimeError: "can't start new thread", ImportError: "cannot allocate memory"}
+    return isinstance(error, MemoryError) or signs.get(type(error), "\0") in str(error).lower()
 
 
 def _run() -> None:

@@ -56,7 +56,7 @@ def add_command(
     refused = [one for one in done if not isinstance(one, Added)]
     added = [one for one in done if isinstance(one, Added)]
     if as_json:
-        told = [
+        surveys = [
             {
                 "survey": one.row["survey"],
                 "new": one.new,
@@ -68,7 +68,7 @@ def add_command(
             }
             for one in added
         ]
-        print(json.dumps({"added": told, "refused": [{"results": str(o.results), "why": o.why} for o in refused]}))
+        print(json.dumps({"added": surveys, "refused": [{"results": str(o.results), "why": o.why} for o in refused]}))
     else:
         for one in added:
             _print_added(one)
@@ -115,8 +115,8 @@ def list_command(
         with progress() as bars:
             wrong = list(checked(archive, bars))
     if as_json:
-        told = [{name: _plain(value) for name, value in row.items()} for row in rows]
-        print(json.dumps({"surveys": told, "superseded": hidden, "damaged": [*_damaged(damage), *wrong]}))
+        surveys = [{name: _plain(value) for name, value in row.items()} for row in rows]
+        print(json.dumps({"surveys": surveys, "superseded": hidden, "damaged": [*_damaged(damage), *wrong]}))
     else:
 
         def known(value: Any, quantity: Any) -> str:
