@@ -90,7 +90,7 @@ class JobSheet:
         return {name: getattr(self, name) for name in WORDS if getattr(self, name) not in ("", None)}
 
     def to_whole(self) -> dict[str, Any]:
-        """All of it, None what nobody said: what is written over by this is emptied where this is empty."""
+        """Every field, None where it is empty, so that writing it over another sheet empties those fields there."""
         return {name: self.to_dict().get(name) for name in WORDS}
 
     def under(self, other: "JobSheet") -> "JobSheet":

@@ -239,7 +239,7 @@ def _span(one: Any) -> timedelta:
 
 
 def _value(pyarrow: Any, one: Any) -> Any:
-    """Of one of Arrow's scalars, whatever is in it."""
+    """One of Arrow's scalars as Python's own value, or as text where Python has none for it."""
     if not one.is_valid:
         return None
     kinds = pyarrow.types

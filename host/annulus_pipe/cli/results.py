@@ -35,7 +35,7 @@ class Told:
     limits: Criteria | None = None
 
     def account(self, job: Job, survey: Survey, **counted: Any) -> Account:
-        """counted : what of an Account is the scan's own."""
+        """counted : the fields of Account that come from the scan: frames, drops, timing, findings."""
         verdict = None if self.limits is None else judge(survey, self.limits)
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them

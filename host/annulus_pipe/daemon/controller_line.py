@@ -181,7 +181,7 @@ class ControllerLine:
 
     @property
     def trouble(self) -> str:
-        """Why it is not as it should be, one line; empty when it is, or is on its way there."""
+        """What is wrong with the line, one line of text; empty when nothing is, or while it is coming up."""
         if self._port is None:
             return self._why_shut or f"{self.url}: the line is broken"
         if self.head.phase in TROUBLED:

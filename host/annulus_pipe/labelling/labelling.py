@@ -83,7 +83,7 @@ class Labelling:
 
     @property
     def wants_preamble(self) -> bool:
-        """Which frame is which is in doubt: an order of lamps that does not repeat would tell."""
+        """Whether an optical preamble, lamps in an order that does not repeat, would end a doubt about the labels."""
         return not self._alone and self._pairing.doubtful and not self._pairing.passing
 
     @property

@@ -3,7 +3,7 @@
 A number is kept with three decimals of its own unit (`stored`: what summary.json says), and whatever a person reads, on
 a page, in a picture or at a terminal, is rounded from the kept one: half away from zero, as decimals, not as binary
 fractions. Rounding the number itself and rounding what was kept of it therefore read the same, wherever it is done. An
-uncertainty is rounded up, twice up is up, and is never 0.
+uncertainty is rounded up; rounding up one that already was changes nothing, and one above 0 never shows as 0.
 
 Where a thing lies along the pipe is said in metres, to the millimetre. How large it is, depths and diameters are said
 in millimetres: extents whole, since an edge is not known better, what is measured to 0.01 mm.

@@ -117,7 +117,7 @@ class _Waiting:
         return self._file.read
 
     def pieces(self, lengths: Iterable[int]) -> Iterator[bytes]:
-        """All of it, each as long as it was appended. Raises OSError."""
+        """The whole content, in pieces of the lengths in which it was appended. Raises OSError."""
         read = self.reader()
         return (read(length) for length in lengths)
 
@@ -140,7 +140,7 @@ class _Waiting:
 
 
 class _Contents:
-    """The index of what is written. Nothing of it is kept in memory: it waits as it came, and is packed at the end."""
+    """The index of what is written. Its rows wait in a file, not in memory, and are packed at the end."""
 
     def __init__(self, folder: Path, labels: str, frames: str) -> None:
         self._label_topic, self._frame_topic = labels, frames

@@ -69,8 +69,8 @@ def _digest(root: Path, paths: Iterable[Path]) -> str:
 
 
 def address(*values: Any) -> str:
-    """SHA-256 of values, in hex: of dataclasses by their names and fields, of arrays and numbers to the bit. A path has
-    no say: what is moved stays what it is. TypeError for a value of another kind."""
+    """SHA-256 of values, in hex: of dataclasses by their names and fields, of arrays and numbers to the bit. Paths are
+    left out, so that moving a file does not change the address. TypeError for a value of another kind."""
     digest = hashlib.sha256()
     for value in values:
         _feed(digest, value)

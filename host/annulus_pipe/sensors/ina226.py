@@ -30,13 +30,14 @@ class Rail:
     derated_a_per_k: float = 0.0
 
     def limit_a(self, head_c: float) -> float:
-        """The most it may draw in a head so warm; of one whose temperature nobody told, all of it."""
+        """The most it may draw in a head so warm, not derated while the temperature is not known."""
         over = max(head_c - self.derated_from_c, 0.0) if math.isfinite(head_c) else 0.0
         return max(self.most_a - self.derated_a_per_k * over, 0.0)
 
     @property
     def calibration(self) -> int:
-        """For the chip's own current register, 1 mA a count; ours is computed, so that no rounding is in it."""
+        """For the chip's own current register, 1 mA a count. We do not read that: we compute the current from the shunt
+        voltage, without its rounding."""
         return min(round(0.00512 / (1e-3 * self.shunt_mohm * 1e-3)), 0x7FFF)
 
 

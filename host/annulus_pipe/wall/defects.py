@@ -245,7 +245,8 @@ def _nameless(
 
 
 def _may_be_level(defect: Defect, wall: Wall) -> bool:
-    """Whether it is as a chord across the bottom is, along some of the pipe: as wide as it is high, and no dome is."""
+    """Whether it may be a level seen from above: along some of the pipe as wide as a chord of its height at the bottom,
+    which no dome is."""
     radius = wall.mean_radius_mm
     if defect.kind is not Kind.BUMP or abs(defect.clock_deg - 180.0) > OFF_DEG or not 0.0 < defect.depth_mm < radius:
         return False

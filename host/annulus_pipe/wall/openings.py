@@ -166,7 +166,7 @@ def _within(bore: _Bore, other: _Bore) -> bool:
 
 
 def _about(bore: _Bore, points: Points, looks: Looks, size: float) -> tuple[Points, Looks]:
-    """What there is to see of it and around it."""
+    """The points and looks of it and of the wall around it."""
     reach = 2 * bore.radius_mm + ABOUT * size
     some = (np.abs(points.z_mm - bore.z_mm) < reach) & (np.abs(bore.aside(points.clock_deg)) < reach / size)
     near = np.abs(looks.z_mm[:, :: COLUMNS // 12] - bore.z_mm).min(axis=1) < reach

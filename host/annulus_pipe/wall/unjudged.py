@@ -6,8 +6,8 @@ not confirmed, a defect that goes on where nobody saw, a stretch whose shape or 
 zone.
 
 Some of them every scan has: a rod hides a strip, rings end raggedly and lie apart, a step throws a shadow. They are
-`usual`: a verdict speaks of what was seen beside them, and says so. Of all others it says that nothing is established
-there.
+`usual`: the verdict speaks of the wall that was seen, and names them. In all other such places it says that nothing is
+established there.
 """
 
 import math

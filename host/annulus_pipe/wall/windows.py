@@ -1,4 +1,4 @@
-"""A pipe too long to be surveyed at once, in windows: what each of them looks at, and what of its survey is its own.
+"""A pipe too long to be surveyed at once, in windows: what each of them looks at, and which part of its survey is kept.
 
 A window is a stretch of pipe between two cuts. It is surveyed with a halo of two diameters on either side, so that
 whatever lies at a cut has all its neighbours on both sides of it, and only what lies between the cuts is kept
