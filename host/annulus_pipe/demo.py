@@ -25,7 +25,7 @@ from annulus_pipe.daemon.run import ending
 from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.numeric.compiling import telling
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.record.origin import origin_of
 from annulus_pipe.report import FILES, Account, prepare_folder, write
@@ -285,13 +285,14 @@ def _closing_lines(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: f
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
-        f"wall       {pipe.points} points over {said(last - first, DISTANCE)}, rms {said(truth['rms_mm'], MEASURE)} "
-        f"against the truth, {said(truth['gross_percent'], PERCENT)} off by more than 2 mm",
+        f"wall       {pipe.points} points over {quoted(last - first, DISTANCE)}, "
+        f"rms {quoted(truth['rms_mm'], MEASURE)} against the truth, "
+        f"{quoted(truth['gross_percent'], PERCENT)} off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {said(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
-        f"{said(d.z_mm, DISTANCE)}, clock {d.clock}"
+        f"           {d.kind:<8} {quoted(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
+        f"{quoted(d.z_mm, DISTANCE)}, clock {d.clock}"
         for d in pipe.defects
     ]
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]

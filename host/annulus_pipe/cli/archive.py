@@ -107,7 +107,7 @@ def list_command(
 ) -> None:
     """The surveys of a catalogue, by pipe and date."""
     from annulus_pipe.archive.catalogue import checked, listed
-    from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
+    from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 
     rows, hidden, damage = listed(archive, pipe, _day(since), every)
     wrong = []
@@ -120,7 +120,7 @@ def list_command(
     else:
 
         def known(value: Any, quantity: Any) -> str:
-            return "" if value is None else said(value, quantity)
+            return "" if value is None else quoted(value, quantity)
 
         head = ("survey", "pipe", "date", "site", "scanned", "diameter", "ovality", "defects", "joints and more", "")
         table = [

@@ -63,13 +63,13 @@ def digits_k2(value: float, quantity: Quantity) -> str:
     return _text(max(_scaled(_kept_up(value), quantity), Decimal(1).scaleb(-quantity.places)), quantity.places)
 
 
-def said(value: float | None, quantity: Quantity, k2: float | None = None, *, at_least: bool = False) -> str:
+def quoted(value: float | None, quantity: Quantity, k2: float | None = None, *, at_least: bool = False) -> str:
     """A value for people: "2.28 ± 0.04 mm".
 
     k2 : its expanded uncertainty; the value stands alone where nobody knows it (None, NaN). at_least : the value is a
     lower limit.
 
-    >>> said(2.2849, MEASURE, 0.0312), said(0.55, MEASURE, at_least=True), said(213.5, DISTANCE)
+    >>> quoted(2.2849, MEASURE, 0.0312), quoted(0.55, MEASURE, at_least=True), quoted(213.5, DISTANCE)
     ('2.29 ± 0.04 mm', '≥ 0.55 mm', '0.214 m')
     """
     if value is None or not math.isfinite(value):

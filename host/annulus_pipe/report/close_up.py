@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, Image
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, said
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, quoted
 from annulus_pipe.report.paper import BUMP_BLUE, INK, LOSS_RED, round_up
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.photograph import Photograph
@@ -75,8 +75,8 @@ def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Mar
     out.append(_line(both, f'stroke="{INK}" stroke-width="1.6"'))
     out.append(f'<circle cx="{both[1, 0]:.1f}" cy="{both[1, 1]:.1f}" r="3" fill="{INK}"/>')
     description = (
-        f"Cross-section at {said(section.z_mm, DISTANCE)}: departure of the wall from the mean circle, up to "
-        f"{said(scale, MEASURE)} outwards and inwards"
+        f"Cross-section at {quoted(section.z_mm, DISTANCE)}: departure of the wall from the mean circle, up to "
+        f"{quoted(scale, MEASURE)} outwards and inwards"
     )
     high, wide = CIRCLE_PX + 1.75 * SWING_PX, CIRCLE_PX + 2.0 * SWING_PX
     return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), description, 15), scale
@@ -131,7 +131,7 @@ def along(section: Section, defect: Defect) -> Markup:
     )
     description = (
         f"Line along the pipe at clock {clock_face(section.clock_deg)}: departure of the wall from the mean circle, "
-        f"from {said(first, DISTANCE)} to {said(last, DISTANCE)}"
+        f"from {quoted(first, DISTANCE)} to {quoted(last, DISTANCE)}"
     )
     return drawing("".join(out), (0, 0, WIDE_PX, HIGH_PX), description, 13)
 

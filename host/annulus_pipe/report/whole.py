@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, quoted, span
 from annulus_pipe.report import client, figures
 from annulus_pipe.report.account import Account
 from annulus_pipe.report.course import centreline
@@ -107,7 +107,7 @@ def _row(one: Mapping[str, Any]) -> dict[str, Any]:
         "features": one["features"],
         "points": one["points"],
         "seen": f"{one['seen_percent']:.0f} %",
-        "diameter": "" if mean is None else said(mean, MEASURE),
+        "diameter": "" if mean is None else quoted(mean, MEASURE),
     }
 
 

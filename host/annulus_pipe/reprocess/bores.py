@@ -14,7 +14,7 @@ import numpy as np
 
 from annulus_pipe import untrusted
 from annulus_pipe.crossbore import BORES, Account, Grid, Head, Indication, Passage, Run, detect, likely, on_grid
-from annulus_pipe.numeric.rounding import DISTANCE, said
+from annulus_pipe.numeric.rounding import DISTANCE, quoted
 from annulus_pipe.record.recording import Recording
 from annulus_pipe.record.scan import Scan
 from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
@@ -144,9 +144,9 @@ def _lane(account: Account, grid: Grid, run: Run) -> Lane:
         for one in account.indications
     )
     blind = account.length_mm - account.water_told_mm
-    remark = f"The first and last {said(account.ends_mm, DISTANCE)} are not judged."
+    remark = f"The first and last {quoted(account.ends_mm, DISTANCE)} are not judged."
     if blind > 100.0:
-        remark += f" Water cannot be told on {said(blind, DISTANCE)}."
+        remark += f" Water cannot be told on {quoted(blind, DISTANCE)}."
     if account.wanders:
         remark += " The head wandered: only what is alike all round is called a bore."
     lift = "taken out by the rings' poses" if grid.lift_ff_mm is not None else "left in: too few frames had a pose"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from annulus_pipe.numeric.rounding import DISTANCE, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, quoted, span
 from annulus_pipe.record.scan import Scan
 from annulus_pipe.reprocess.abstract_file import packed, unpacked
 from annulus_pipe.reprocess.engine import LedFrames, Progress
@@ -231,7 +231,7 @@ def _thinned(windows: Sequence[Window]) -> Iterator[Finding]:
 
 def _where(window: Window) -> str:
     if math.isinf(window.first_mm):
-        return f"before {said(window.last_mm, DISTANCE)}"
+        return f"before {quoted(window.last_mm, DISTANCE)}"
     if math.isinf(window.last_mm):
-        return f"behind {said(window.first_mm, DISTANCE)}"
+        return f"behind {quoted(window.first_mm, DISTANCE)}"
     return f"from {span(window.first_mm, window.last_mm, DISTANCE)}"
