@@ -154,7 +154,7 @@ def model_command(
 
     with progress() as report:
         found = model(permittivity(soil_eps, soil_sigma), report)
-    figures = found.told
+    figures = found.figures
     maps = {name: (one.points_mm, one.v_m) for name, one in found.maps.items()}
     files = write_model(out, figures, found.curves, maps)
     if as_json:
