@@ -23,7 +23,7 @@ from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.joined import Abstract
 
 FORMAT = 1
-_OURS = "annulus."
+_OURS = "annulus_pipe."
 _DEEP = 40  # of trees in trees; an abstract's is 8
 
 
