@@ -103,7 +103,7 @@ class JobSheet:
         return JobSheet(**{name: value for name, value in self.to_dict().items() if name not in gone})
 
     def over_told(self, data: object) -> "JobSheet":
-        """Itself with what a recording says written over it; what that says is empty is."""
+        """Itself with a recording's fields written over it, those too that the recording says are empty."""
         return self.under(JobSheet.recorded(data)).without(emptied(data))
 
 

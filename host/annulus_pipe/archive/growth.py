@@ -241,8 +241,8 @@ def _verdict(before: float, after: float) -> Verdict:
 
 
 def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool, otherwise: Verdict) -> Change:
-    """A defect of the second (year 0) or the first alone: what its own shape says of growth; `otherwise` where nothing
-    does."""
+    """A defect of the second (year 0) or the first alone: its growth by its own shape, or the
+    verdict `otherwise` where too little of it was seen to tell."""
     growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
     before, after = _height(difference.first, difference, floor), _height(difference.second, difference, floor)
     if share < SEEN_MIN:

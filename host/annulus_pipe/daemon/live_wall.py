@@ -34,7 +34,7 @@ REACH_OF_RADIUS = 40.0  # from the head, along the pipe: what is farther off is 
 ROW_MOST = 1 << 30  # either way
 SAY_S = 0.5  # between two words on what has changed, and two slices of what has not
 PACE_S = 0.05  # between any two: a viewer's queue holds two messages
-SLICE_ROWS, AT_ONCE_ROWS = 32, 256  # of a word in turn; of one on what is new, or to who is new
+SLICE_ROWS, AT_ONCE_ROWS = 32, 256  # in a message that repeats the map in turn; in one of new rows, or for a new viewer
 HOLE_ROWS = 16
 NOTHING = -(1 << 40)  # the row where none lies
 

@@ -75,7 +75,7 @@ class PublisherJob:
             if self._under_way and self._wall is not None:
                 self._wall.begin(content["scan"])
         if kind == "profile" and self._calibration is not None and self._wall is not None:
-            with suppress(ValueError):  # one that is none must not cost what is there
+            with suppress(ValueError):  # a malformed profile must not cost those that are there
                 profile = Profile.from_dict(content)
                 self._wall.add(profile)
                 topic = f"slits/{profile.camera}"

@@ -114,7 +114,7 @@ class SurveyorJob:
             self._ended = True
         elif kind == "profile":
             self._heard += 1
-            with suppress(ValueError):  # one that is none must not cost what is there
+            with suppress(ValueError):  # a malformed profile must not cost those that are there
                 self._window.add(Profile.from_dict(body))
 
     def idle(self) -> Any:

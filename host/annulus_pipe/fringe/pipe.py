@@ -424,7 +424,7 @@ def _scattered(
 def _decided(
     head: Head, images: Float32Array, points: Points, found: Heights, noise: tuple[float, float, float]
 ) -> Heights:
-    """Surfaces whose order of fringe is not decided are ambiguous: each joined one by its cells' other orders."""
+    """A connected surface whose order of fringe its cells do not decide, against their other orders, is ambiguous."""
     shape = points.shape
     good = found.flag == GOOD
     h = np.where(good, found.height_mm, np.nan)

@@ -64,7 +64,7 @@ class Replay:
 
     def __init__(self, patience_ns: int = 0) -> None:
         """`patience_ns`: on the head a frame may have been labelled early, for want of room. Off line it waits for its
-        edges, or for the offset, for so long. 0: it is labelled when it was.
+        edges, or for the offset, for so long. 0: it is labelled at the moment at which the head labelled it.
         """
         self.malformed = 0
         self._patience_ns = patience_ns

@@ -126,7 +126,7 @@ def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
 
 
 def _sector(one: Indication, grid: Grid) -> int:
-    """That sees most of it, from 1; 0 where all see as much."""
+    """Number, from 1, of the sector that sees most of it; 0 where all see as much."""
     return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
 
 

@@ -120,7 +120,7 @@ class _Hand:
     process: SpawnProcess
     line: Connection
     at: int | None = None
-    alive: bool = False  # it has said so: what it ends of from now on is its item
+    alive: bool = False  # it has said so: if it dies from now on, its item is to blame
 
 
 @dataclass(slots=True)

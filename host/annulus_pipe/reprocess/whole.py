@@ -89,7 +89,7 @@ class Filed:
         return self.facts[own].frames[within]
 
     def _at(self, number: int) -> tuple[int, int]:
-        """Which range, and which of its frames."""
+        """The number of the range that a frame is in, and its place in that."""
         own = bisect.bisect_right(self.first, number) - 1
         return own, number - self.first[own]
 

@@ -25,7 +25,7 @@ from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import in_one
 from annulus_pipe.wall.windows import Window
 
-TOUCH_MM = 1.0  # of two findings of neighbours that are one: what may lie between their ends, beside a row
+TOUCH_MM = 1.0  # beside a row: findings of two neighbouring windows whose ends are closer than this are one
 Found = TypeVar("Found", Defect, Feature)
 
 
@@ -79,7 +79,7 @@ class Sums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joined(Survey):
-    """A survey of many windows: its map in longer rows, no cloud; what is counted is counted over all of them."""
+    """A survey of many windows: its map in longer rows, no cloud; counts are over all windows."""
 
     sums: Sums = field(default_factory=Sums)
 
@@ -223,7 +223,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
 
 
 def centreline_of(parts: Sequence[Abstract]) -> Centreline:
-    """Of all windows' pieces, each as far as its own window goes; a piece that goes on over a cut goes on."""
+    """The pieces of all windows, each cut off at its window's ends; one that crosses a cut becomes one piece again."""
     pieces: list[Piece] = []
     for part in parts:
         first, last = part.window.first_mm, part.window.last_mm

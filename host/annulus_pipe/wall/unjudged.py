@@ -265,7 +265,7 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
 
 
 def _going_on(wall: Wall, detection: Detection, dark: BoolArray, scale: Scale) -> Iterator[Unjudged]:
-    """Defects and undecided places that end where nobody saw: what is deepest of them may lie there."""
+    """Defects and undecided places that end where nobody saw: their deepest point may lie in the unseen wall."""
     listed = [(one, detection.label == i) for i, one in enumerate(detection.defects, 1)]
     listed += [(one, _box(wall, one)) for one in detection.undecided]
     for one, cells in listed:

@@ -98,7 +98,7 @@ class _Frames:
     points: IntArray
     low_mm: FloatArray
     high_mm: FloatArray
-    farthest_mm: FloatArray  # that one of them or of those before reaches
+    farthest_mm: FloatArray  # running maximum: as far as this frame or one before it reaches
 
     @classmethod
     def of(cls, reaches: Sequence[Reach]) -> "_Frames":
