@@ -83,4 +83,4 @@ def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path
     (bore,) = [feature for feature in pipe.features if feature.kind is FeatureKind.CROSS_BORE]
     assert bore.z_mm == pytest.approx(BORE_MM, abs=25.0) and bore.length_mm == pytest.approx(2 * RADIUS_MM, abs=40.0)
     assert bore.arc_deg == 360.0 and bore.measured("probability_percent") > 90.0
-    assert pipe.lane is not None and "taken out" in pipe.lane.told
+    assert pipe.lane is not None and "taken out" in pipe.lane.remark

@@ -89,7 +89,7 @@ class Filed:
         return self.facts[own].frames[within]
 
     def _at(self, number: int) -> tuple[int, int]:
-        """Which range, and which of its frames."""
+        """The number of the range that a frame is in, and its place in that."""
         own = bisect.bisect_right(self.first, number) - 1
         return own, number - self.first[own]
 
@@ -143,9 +143,9 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps, scale=scale
         )
-        told = with_bores(done.job.scan, done.profiles, pipe)
+        complete = with_bores(done.job.scan, done.profiles, pipe)
         timing_ms = {**done.timing_ms, **timing}
-        return Surveyed(done.job, told, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
+        return Surveyed(done.job, complete, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
     with _ranges_in(place, keep):
         ranged = in_ranges(job, place, executor, progress)
         counts = len(ranged.facts), ranged.made, len(ranged.left_out)
@@ -160,9 +160,9 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             ranged.job, filed, cut, files, _fewer(executor), progress, vibration=vibration, fps=fps, scale=scale
         )
-    told = with_bores(ranged.job.scan, _poses(ranged), pipe)
+    complete = with_bores(ranged.job.scan, _poses(ranged), pipe)
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
-    return Surveyed(ranged.job, told, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
+    return Surveyed(ranged.job, complete, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
 
 
 @contextlib.contextmanager

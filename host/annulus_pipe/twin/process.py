@@ -257,8 +257,8 @@ class Head:
         if self.pull_at is not None and now >= self.pull_at:
             self.sensor.pull(now + 1, self.speed_mm_s)
             self.pull_at = None
-        said = self.board.serial_read()
-        self.to_host += self.line.carry(said if now >= self.unplugged_until else b"")
+        data = self.board.serial_read()
+        self.to_host += self.line.carry(data if now >= self.unplugged_until else b"")
         if self.to_host:
             del self.to_host[: self.serial.write(bytes(self.to_host))]
             if len(self.to_host) > 65536:  # nobody reads: a real line would have lost it too

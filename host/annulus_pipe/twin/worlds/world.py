@@ -158,12 +158,20 @@ class World:
             place = np.array(other.translation_mm) - own @ moved
             others.append(replace(other, rotation=matrix_of(own), translation_mm=vector_of(place)))
         several = len(lamps) > 1 or bool(lamps[0].cameras)
-        told = {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        lights = (
+            {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        )
         beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": self.optics.black}}
         if self.mounted[0] != STILL:
             beside["pipe"] = {"rotation": turn.T.tolist(), "translation_mm": (-turn.T @ moved).tolist()}
         return Calibration(
-            self.camera, "", (), self.radius_mm, others=tuple(others), pattern={"kind": "fringe", **told}, beside=beside
+            self.camera,
+            "",
+            (),
+            self.radius_mm,
+            others=tuple(others),
+            pattern={"kind": "fringe", **lights},
+            beside=beside,
         )
 
     def truth(self) -> dict[str, Any]:

@@ -53,8 +53,8 @@ def detect_command(
         account = detect(grid, head, joints_mm=joint_mm or ())
     except AnnulusError as error:
         raise AnnulusError(f"{log}: {error}") from None
-    bores = [_told(one) for one in account.bores]
-    others = [_told(one) for one in account.indications if one not in account.bores]
+    bores = [_detection(one) for one in account.bores]
+    others = [_detection(one) for one in account.indications if one not in account.bores]
     files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
     summary: dict[str, Any] = {
         "log": str(log),
@@ -154,15 +154,15 @@ def model_command(
 
     with progress() as report:
         found = model(permittivity(soil_eps, soil_sigma), report)
-    told = found.told
+    figures = found.figures
     maps = {name: (one.points_mm, one.v_m) for name, one in found.maps.items()}
-    files = write_model(out, told, found.curves, maps)
+    files = write_model(out, figures, found.curves, maps)
     if as_json:
-        print(json.dumps({**told, "files": [str(file) for file in files]}))
+        print(json.dumps({**figures, "files": [str(file) for file in files]}))
         return
-    along, off = told["along"], told["along_shield_off"]
+    along, off = figures["along"], figures["along_shield_off"]
     print(
-        f"circuit    differential {told['swing_ff']:+.0f} fF from air to soil, single-ended mutual "
+        f"circuit    differential {figures['swing_ff']:+.0f} fF from air to soil, single-ended mutual "
         f"{1000 * (along['soil']['mutual_pf'] - along['air']['mutual_pf']):+.0f} fF"
     )
     print(
@@ -170,37 +170,37 @@ def model_command(
         "with the shield at earth"
     )
     print(
-        f"depth      half of the swing within {told['half_depth_mm']:.1f} mm of the wall "
-        f"(prototype's {told['half_depth_prototype_mm']:g} mm)"
+        f"depth      half of the swing within {figures['half_depth_mm']:.1f} mm of the wall "
+        f"(prototype's {figures['half_depth_prototype_mm']:g} mm)"
     )
-    lift = told["lift"]
+    lift = figures["lift"]
     print(
         f"lift       {lift['off_mm']:g} mm off the axis is {100 * lift['of_swing']:.0f} % of the swing "
         f"(prototype's {100 * lift['of_swing_prototype']:.0f} %)"
     )
-    for row in told["bores"]:
+    for row in figures["bores"]:
         measured = ""
         if "prototype_ff" in row:
-            said = " / ".join("-" if one is None else f"{one:+.0f}" for one in row["prototype_ff"])
-            measured = f" (prototype's {said})"
+            theirs = " / ".join("-" if one is None else f"{one:+.0f}" for one in row["prototype_ff"])
+            measured = f" (prototype's {theirs})"
         change = " / ".join(f"{one:+.1f}" for one in row["change_ff"])
         print(f"pipe {row['pipe']}     {row['case']}, {row['fill']}: {change} fF{measured}")
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
-def _told(one: Any) -> dict[str, Any]:
-    said: dict[str, Any] = {
+def _detection(one: Any) -> dict[str, Any]:
+    content: dict[str, Any] = {
         "odometer_mm": round(one.odometer_mm, 1),
         "kind": str(one.kind),
         "extent_mm": round(one.extent_mm, 1),
         "change_ff": [round(float(v), 1) for v in one.change_ff],
     }
     if math.isfinite(one.phi_deg):
-        said |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
+        content |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
     if math.isfinite(one.speed_mm_s[0]):
-        said["speed_mm_s"] = {"transient": round(one.speed_mm_s[0], 1), "odometer": round(one.speed_mm_s[1], 1)}
+        content["speed_mm_s"] = {"transient": round(one.speed_mm_s[0], 1), "odometer": round(one.speed_mm_s[1], 1)}
     if one.odds:
-        said["odds"] = {fate: round(value, 4) for fate, value in one.odds.items()}
+        content["odds"] = {fate: round(value, 4) for fate, value in one.odds.items()}
     if math.isfinite(one.loss_ff):
-        said["loss_ff"] = round(one.loss_ff, 1)
-    return said
+        content["loss_ff"] = round(one.loss_ff, 1)
+    return content

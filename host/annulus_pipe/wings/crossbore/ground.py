@@ -213,9 +213,9 @@ class Buried:
 
 def ground_of(data: Mapping[str, Any]) -> Ground:
     """Of `dataclasses.asdict`."""
-    told: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}
-    told["bores"] = tuple(Bore(**one) for one in told["bores"])
-    return Ground(**told)
+    fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}
+    fields["bores"] = tuple(Bore(**one) for one in fields["bores"])
+    return Ground(**fields)
 
 
 def _round_the_pipe(

@@ -34,7 +34,7 @@ class Bores(Observer):
 
     def _begin(self) -> None:
         self._passage = Passage(self._sectors.ahead_mm, KEEP_MM)
-        self._told: list[Indication] = []
+        self._announced: list[Indication] = []
         self._gaps: list[Gap] = []
         self._here_mm = self._looked_mm = float("nan")
         self._reads = self._broke = False
@@ -71,11 +71,11 @@ class Bores(Observer):
                 self._observers.event("bore", f"no bore can be told: no readings of {gap}")
         for one in found:
             past = abs(self._here_mm + self._sectors.ahead_mm - one.odometer_mm) >= PAST_MM
-            known = any(abs(old.odometer_mm - one.odometer_mm) < MERGED_MM for old in (*self._told, *new))
+            known = any(abs(old.odometer_mm - one.odometer_mm) < MERGED_MM for old in (*self._announced, *new))
             if (past or final) and not known:
                 new.append(one)
-                self._observers.event("bore", told(one))
-        self._told += new
+                self._observers.event("bore", in_words(one))
+        self._announced += new
         return new
 
     def _found(self) -> tuple[list[Indication], list[Gap]]:
@@ -91,7 +91,7 @@ class Bores(Observer):
             return [], []
 
 
-def told(one: Indication) -> str:
+def in_words(one: Indication) -> str:
     """For people: "cross bore, air, at 12.340 m, 210 mm long, 97 %"."""
     assert one.kind in BORES
     sure = f"{100 * likely(one):.0f} % in simulated pipes" if one.odds else "the head wanders: no odds"

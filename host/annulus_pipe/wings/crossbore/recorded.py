@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe import untrusted
-from annulus_pipe.numeric.rounding import DISTANCE, said
+from annulus_pipe.numeric.rounding import DISTANCE, quoted
 from annulus_pipe.record.recording import Recording
 from annulus_pipe.record.scan import Scan
 from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
@@ -46,8 +46,8 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
     recording = scan.recording
     if recording is None or not any(_of_sectors(recording, topic) for topic in recording.topics):
         return survey
-    told = (recording.configuration or {}).get(SECTORS_OF)
-    head, ahead = _head(told if isinstance(told, Mapping) else {})
+    configured = (recording.configuration or {}).get(SECTORS_OF)
+    head, ahead = _head(configured if isinstance(configured, Mapping) else {})
     passage = Passage(ahead)
     for topic in recording.topics:
         if topic.startswith(TOPIC):
@@ -84,30 +84,30 @@ def _of_sectors(recording: Recording, topic: str) -> bool:
     """By its first records: an hour of a head without sectors has a third of a million others to read."""
     first = islice(recording.notes(topic), FIRST) if topic.startswith(TOPIC) else ()
     values = (body.get("values") for body in first if isinstance(body, Mapping))
-    return any(isinstance(said, Mapping) and CHANNELS[0] in said for said in values)
+    return any(isinstance(named, Mapping) and CHANNELS[0] in named for named in values)
 
 
 def take(passage: Passage, sample: Sample) -> bool:
     """What concerns a passage in a sample, whichever sensor's; whether it was a reading of the sectors."""
-    t_s, said = 1e-9 * sample.host_ns, sample.values
-    if ROLL in said and sample.units[ROLL] == "deg":
-        passage.roll(t_s, said[ROLL])
-    if sample.sensor == "odometer" and ODOMETER in said:
-        passage.place(t_s, said[ODOMETER])
+    t_s, values = 1e-9 * sample.host_ns, sample.values
+    if ROLL in values and sample.units[ROLL] == "deg":
+        passage.roll(t_s, values[ROLL])
+    if sample.sensor == "odometer" and ODOMETER in values:
+        passage.place(t_s, values[ODOMETER])
     if not all(sample.units.get(name) == "pF" for name in CHANNELS):
         return False
-    loss = [said[name] for name in LOSSES] if all(name in said for name in LOSSES) else ()
-    passage.read(t_s, [said[name] for name in CHANNELS], loss)
+    loss = [values[name] for name in LOSSES] if all(name in values for name in LOSSES) else ()
+    passage.read(t_s, [values[name] for name in CHANNELS], loss)
     return True
 
 
-def _head(told: Mapping[str, Any]) -> tuple[Head, float]:
+def _head(configured: Mapping[str, Any]) -> tuple[Head, float]:
     """Of a recording's configuration; what is none is passed over."""
     usual = Head()
     try:
-        air_pf = untrusted.within(told.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)
-        coupling_ff = untrusted.within(told.get("coupling_ff", usual.coupling_ff), "coupling_ff", 1.0, 1e4)
-        ahead = untrusted.within(told.get("ahead_mm", 0.0), "ahead_mm", -2000.0, 2000.0)
+        air_pf = untrusted.within(configured.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)
+        coupling_ff = untrusted.within(configured.get("coupling_ff", usual.coupling_ff), "coupling_ff", 1.0, 1e4)
+        ahead = untrusted.within(configured.get("ahead_mm", 0.0), "ahead_mm", -2000.0, 2000.0)
         return replace(usual, air_ff=1000 * air_pf, coupling_ff=coupling_ff), ahead
     except ValueError:
         return usual, 0.0
@@ -137,7 +137,7 @@ def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
 
 
 def _sector(one: Indication, grid: Grid) -> int:
-    """That sees most of it, from 1; 0 where all see as much."""
+    """Number, from 1, of the sector that sees most of it; 0 where all see as much."""
     return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
 
 
@@ -155,10 +155,10 @@ def _lane(account: Account, grid: Grid, run: Run) -> Lane:
         for one in account.indications
     )
     blind = account.length_mm - account.water_told_mm
-    told = f"The first and last {said(account.ends_mm, DISTANCE)} are not judged."
+    remark = f"The first and last {quoted(account.ends_mm, DISTANCE)} are not judged."
     if blind > 100.0:
-        told += f" Water cannot be told on {said(blind, DISTANCE)}."
+        remark += f" Water cannot be told on {quoted(blind, DISTANCE)}."
     if account.wanders:
-        told += " The head wandered: only what is alike all round is called a bore."
+        remark += " The head wandered: only what is alike all round is called a bore."
     lift = "taken out by the rings' poses" if grid.lift_ff_mm is not None else "left in: too few frames had a pose"
-    return Lane(grid.z_mm, grid.c_ff / 1000, grid.seen, marks, f"{told} Lift-off is {lift}.")
+    return Lane(grid.z_mm, grid.c_ff / 1000, grid.seen, marks, f"{remark} Lift-off is {lift}.")

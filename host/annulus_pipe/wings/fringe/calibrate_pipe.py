@@ -102,8 +102,8 @@ def calibrate_fringe_pipe(
     most = max(FRAMES_MAX // len(head.cameras), 3)
     some = {every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(len(every), most)).astype(int))}
     which = [i for i in which if opened.frames[i].index in some]
-    told = head.curve(scan.resolve().name)
-    curve = told or Transfer()
+    named = head.curve(scan.resolve().name)
+    curve = named or Transfer()
     report = progress or (lambda stage, done, total: None)
     known_as = {one.id: number for number, one in enumerate(head.cameras)}
     flash_of = {index: k for k, index in enumerate(sorted({opened.frames[i].index for i in which}))}
@@ -136,9 +136,9 @@ def calibrate_fringe_pipe(
             "that are wrong?"
         )
     known = replace(
-        head.with_projector(found.projector), radius_mm=radius, transfer=dict(head.transfer) if told else {"": curve}
+        head.with_projector(found.projector), radius_mm=radius, transfer=dict(head.transfer) if named else {"": curve}
     )
-    return FringePipeCalibration(known, found, curve, told is not None)
+    return FringePipeCalibration(known, found, curve, named is not None)
 
 
 def _design(file: Path) -> FringeProjector | None:
@@ -154,7 +154,7 @@ def _design(file: Path) -> FringeProjector | None:
 
 def save_fringe_pipe(result: FringePipeCalibration, path: Path) -> None:
     """Write or replace the head's sections of a calibration.json. Raises AnnulusError when it cannot be written."""
-    told = result.to_dict()
+    figures = result.to_dict()
     curves = {name: curve.to_dict() for name, curve in result.head.transfer.items()}
     sections = {
         "cameras": [
@@ -169,9 +169,9 @@ def save_fringe_pipe(result: FringePipeCalibration, path: Path) -> None:
         "camera": None,
         "pattern": {
             "kind": "fringe",
-            "projector": told["projector"],
-            "sigma": told["sigma"],
-            "covariance": told["covariance"],
+            "projector": figures["projector"],
+            "sigma": figures["sigma"],
+            "covariance": figures["covariance"],
         },
         "transfer": curves.get("", curves),
         "pipe": {
@@ -182,5 +182,5 @@ def save_fringe_pipe(result: FringePipeCalibration, path: Path) -> None:
         if result.head.mount[0] != STILL
         else {"radius_mm": result.head.radius_mm},
     }
-    measured = {key: told[key] for key in ("misfit_levels", "frames")}
+    measured = {key: figures[key] for key in ("misfit_levels", "frames")}
     update_calibration(path, sections, {"pattern": {"by": "annulus calibrate fringe", **measured}})

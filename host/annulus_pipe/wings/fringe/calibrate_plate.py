@@ -95,26 +95,26 @@ def calibrate_fringe(
         )
     opened = open_scan(scan)
     which = _reference(opened)
-    told = head.curve(scan.resolve().name)
-    curve = told or Transfer()
+    named = head.curve(scan.resolve().name)
+    curve = named or Transfer()
     report = progress or (lambda stage, done, total: None)
     found = _calibrated(opened, which, head, distance, curve, lambda done, total: report("plate", done, total))
-    if told is None and abs(found.gamma - 1) > max(GAMMA_SIGMAS * found.gamma_sigma, GAMMA_OFF):
+    if named is None and abs(found.gamma - 1) > max(GAMMA_SIGMAS * found.gamma_sigma, GAMMA_OFF):
         curve = replace(curve, gamma=1 / found.gamma)
         found = _calibrated(
             opened, which, head, distance, curve, lambda done, total: report("plate, gamma out", done, total)
         )
     heights = tuple(sorted({h for i in which if (h := opened.frames[i].height_mm) is not None}))
-    curves = dict(head.transfer) if told is not None else {"": curve}
+    curves = dict(head.transfer) if named is not None else {"": curve}
     known = FringeHead(head.cameras, found.projector, head.motion, distance, curves)
     return FringeCalibration(
-        known, found, curve, told is not None, len(which), heights, tuple(_warnings(found, distance))
+        known, found, curve, named is not None, len(which), heights, tuple(_warnings(found, distance))
     )
 
 
 def save_fringe(result: FringeCalibration, path: Path) -> None:
     """Write or replace the head's sections of a calibration.json. Raises AnnulusError when it cannot be written."""
-    head, told = result.head, result.to_dict()
+    head, figures = result.head, result.to_dict()
     curves = {name: one.to_dict() for name, one in head.transfer.items()}
     sections = {
         "cameras": [
@@ -129,16 +129,16 @@ def save_fringe(result: FringeCalibration, path: Path) -> None:
         "camera": None,
         "pattern": {
             "kind": "fringe",
-            "projector": told["projector"],
-            "k_rad": told["k_rad"],
-            "sigma": told["sigma"],
-            "rms_rad": told["rms_rad"],
+            "projector": figures["projector"],
+            "k_rad": figures["k_rad"],
+            "sigma": figures["sigma"],
+            "rms_rad": figures["rms_rad"],
         },
         "transfer": curves.get("", curves),
         "motion": list(head.motion),
         "distance_mm": head.distance_mm,
     }
-    measured = {key: told[key] for key in ("rms_rad", "cameras_apart_rad", "frames", "tiles", "heights_mm", "gamma")}
+    measured = {key: figures[key] for key in ("rms_rad", "cameras_apart_rad", "frames", "tiles", "heights_mm", "gamma")}
     update_calibration(path, sections, {"pattern": {"by": "annulus calibrate fringe", **measured}})
 
 

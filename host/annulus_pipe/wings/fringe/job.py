@@ -99,12 +99,12 @@ def _flashes(scan: Scan) -> tuple[tuple[float, dict[int, int]], ...]:
         by_index.setdefault(frame.index, {})[frame.camera] = i
     out = []
     for index, frames in by_index.items():
-        told = [x for i in frames.values() if (x := scan.frames[i].x_mm) is not None]
-        if max(told) - min(told) > FLASH_MM:
+        places = [x for i in frames.values() if (x := scan.frames[i].x_mm) is not None]
+        if max(places) - min(places) > FLASH_MM:
             raise AnnulusError(
-                f"{scan.path}: index {index}: x_mm is {min(told):g} and {max(told):g}, expected one flash"
+                f"{scan.path}: index {index}: x_mm is {min(places):g} and {max(places):g}, expected one flash"
             )
-        out.append((told[0], frames))
+        out.append((places[0], frames))
     return tuple(out)
 
 
@@ -156,8 +156,8 @@ def check_order(
     views = [
         (View.of(one, job.projector, x[:, None] * np.array(job.head.motion)), images) for one, images, x in taken[:2]
     ]
-    if (told := told_elsewhere(views, points, drift_sigma=DRIFT)) is not None:
-        height, there, here = told
+    if (elsewhere := told_elsewhere(views, points, drift_sigma=DRIFT)) is not None:
+        height, there, here = elsewhere
         raise AnnulusError(
             f"{job.scan.path}: the plate stands about {job.distance_mm - height:.4g} mm away, the calibration's "
             f'"distance_mm" is {job.distance_mm:g}, whole fringes off: there its cameras see one texture (correlation '

@@ -85,10 +85,10 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
     """calibration : None: the recording's own. AnnulusError, one line, for what is missing, damaged or does not belong
     together."""
     opened = roll_filled(open_scan(scan))
-    said = calibration or scan
+    source = calibration or scan
     head = _head_of(opened, scan) if calibration is None else load_part(calibration, FringeHead.from_dict, MADE_BY)
     if head.radius_mm is None or not (head.lamps or head.projector is not None):
-        raise AnnulusError(f"{said}: has no slide of fringes and pipe. Make it with `{MADE_BY}`.")
+        raise AnnulusError(f"{source}: has no slide of fringes and pipe. Make it with `{MADE_BY}`.")
     eyes = head.eyes()
     flashes, findings = _flashes(opened, scan, head)
     flashes = _moved(opened, scan, flashes, STEP_OF_RADIUS * head.radius_mm)
@@ -100,9 +100,9 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
     z = tuple(opened.frames[flash[0][1]].z_mm for flash in flashes)
     rolls = [opened.frames[flash[0][1]].roll_deg for flash in flashes]
     rolled = tuple(math.radians(one) for one in rolls if one is not None)
-    told = head.curve(scan.resolve().name)
+    curve = head.curve(scan.resolve().name)
     text = "the calibration names no transfer curve for this scan: grey levels are taken as linear in light"
-    if told is None:
+    if curve is None:
         findings.append(Finding("transfer", text))
     turns = max(1, round(len(flashes) * len(eyes) / max(sum(len(flash) for flash in flashes), 1)))
     return FringePipeJob(
@@ -110,7 +110,7 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
         tuple(eye for eye, _, _ in eyes),
         tuple(camera for _, camera, _ in eyes),
         head.radius_mm,
-        told or Transfer(),
+        curve or Transfer(),
         tuple(flashes),
         z,
         rolled if len(rolled) == len(z) else None,
@@ -317,10 +317,10 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
     whose = np.array([*(cameras.index(one) for one in job.ids), len(cameras)], np.uint8)  # by eye, and of several
     bright = float(np.nanpercentile(seen.dc, 99)) if np.isfinite(seen.dc).any() else 1.0
     for j, at in enumerate(seen.z_mm):
-        told = np.flatnonzero(np.isfinite(seen.radius_mm[j]) & np.isfinite(seen.sigma_mm[j]))
-        radius = seen.radius_mm[j, told]
-        points = np.stack([radius * np.cos(turn[told]), radius * np.sin(turn[told]), np.full(len(told), at)], axis=1)
-        grey = np.clip(255 * np.nan_to_num(seen.dc[j, told]) / bright, 0, 255).astype(np.uint8)
+        known = np.flatnonzero(np.isfinite(seen.radius_mm[j]) & np.isfinite(seen.sigma_mm[j]))
+        radius = seen.radius_mm[j, known]
+        points = np.stack([radius * np.cos(turn[known]), radius * np.sin(turn[known]), np.full(len(known), at)], axis=1)
+        grey = np.clip(255 * np.nan_to_num(seen.dc[j, known]) / bright, 0, 255).astype(np.uint8)
         frame = job.scan.frames[job.flashes[int(np.argmin(np.abs(z + middle - at)))][0][1]].index
         out.append(
             Profile(
@@ -329,12 +329,12 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
                 Pose(),
                 points.astype(np.float32),
                 np.repeat(grey[:, None], 3, axis=1),
-                np.zeros(len(told), np.uint8),
-                told.astype(np.uint16),
-                float(np.median(seen.sigma_mm[j, told])) if len(told) else math.nan,
-                sigma_mm=seen.sigma_mm[j, told].astype(np.float32),
+                np.zeros(len(known), np.uint8),
+                known.astype(np.uint16),
+                float(np.median(seen.sigma_mm[j, known])) if len(known) else math.nan,
+                sigma_mm=seen.sigma_mm[j, known].astype(np.float32),
                 camera=job.ids[0],
-                seen_by=whose[seen.seen_by[j, told]],
+                seen_by=whose[seen.seen_by[j, known]],
             )
         )
     return out
@@ -350,16 +350,16 @@ def _cells(wall: Wall, one: Defect) -> BoolArray:
 
 def _light_map(wall: Wall, seen: PipeMap) -> Image | None:
     """(Z, A, 4) uint8 RGBA of the report's grid: the mean of the map's DC in each cell over that about it, alpha 0
-    where not told. How bright one stretch of wall is beside another far from it, no eye knows."""
+    where nothing is known. How bright one stretch of wall is beside another far from it, no eye knows."""
     row = np.rint((seen.z_mm - wall.z_mm[0]) / wall.z_step_mm).astype(int)
     column = np.rint((seen.phi_deg + 90.0) / wall.clock_step_deg).astype(int) % len(wall.clock_deg)
-    told = np.isfinite(seen.radius_mm) & ((row >= 0) & (row < len(wall.z_mm)))[:, None]
-    if not told.any():
+    seen_here = np.isfinite(seen.radius_mm) & ((row >= 0) & (row < len(wall.z_mm)))[:, None]
+    if not seen_here.any():
         return None
-    j, i = np.nonzero(told)
+    j, i = np.nonzero(seen_here)
     cell = row[j] * len(wall.clock_deg) + column[i]
     count = np.bincount(cell, minlength=wall.radius_mm.size)
-    total = np.bincount(cell, weights=seen.dc[told], minlength=wall.radius_mm.size)
+    total = np.bincount(cell, weights=seen.dc[seen_here], minlength=wall.radius_mm.size)
     about = [
         gaussian_filter(one.reshape(wall.radius_mm.shape).astype(float), EVEN_CELLS, mode=("nearest", "wrap")).ravel()
         for one in (total, count)

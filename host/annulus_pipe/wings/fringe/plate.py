@@ -66,24 +66,24 @@ REACH = 0.05  # of the distance: how far a plate may stand from it, by cameras; 
 def _curve(job: FringeJob) -> FringeJob:
     """The same with the curve whose light fits the slide's waveform best, of those in the calibration and the usual
     ones: another curve has other harmonics."""
-    said = [*job.head.transfer.values()] or [Transfer()]
-    usual = [Transfer(sensor, said[0].black) for sensor in ("linear", "srgb")]
+    named = [*job.head.transfer.values()] or [Transfer()]
+    usual = [Transfer(sensor, named[0].black) for sensor in ("linear", "srgb")]
     one = max(job.head.cameras, key=lambda one: sum(one.id in seen for _, seen in job.flashes[:WINDOW]))
     odometer = np.array([x for x, seen in job.flashes[:WINDOW] if one.id in seen])
     if len(odometer) < 3:
-        return replace(job, curve=said[0])
+        return replace(job, curve=named[0])
     box, step = _box(job, one, odometer), COARSE * cell_mm(job)
     coarse = Points.plate(np.arange(*box[0], step), np.arange(*box[1], step), job.distance_mm)
     view = View.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
-    told = []
-    for curve in dict.fromkeys([*said, *usual]):
+    misfits = []
+    for curve in dict.fromkeys([*named, *usual]):
         images, _ = _Frames(replace(job, curve=curve), lambda done: None).of(one, 0)
-        told.append((_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)), curve))
-    misfit, best = min(told, key=lambda one: one[0])
+        misfits.append((_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)), curve))
+    misfit, best = min(misfits, key=lambda one: one[0])
     text = (
         f'the calibration names no transfer curve for a scan called "{job.scan.path.resolve().name}": taken as '
         f"{best.sensor}, black {best.black:g}, for that fits the slide's wave best ({misfit:.3f} of the swing is left, "
-        f"{max(misfit for misfit, _ in told):.3f} with the worst)"
+        f"{max(misfit for misfit, _ in misfits):.3f} with the worst)"
     )
     return replace(job, curve=best, findings=(*job.findings, Finding("transfer", text)))
 
@@ -199,7 +199,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     if before is not None:
         shared = before.start + len(before.place_mm) - start
         place += float(np.mean(before.place_mm[len(before.place_mm) - shared :] - place[:shared]))
-    told, lit, noises = [], np.zeros((0, 3)), []
+    measured, lit, noises = [], np.zeros((0, 3)), []
     for one, images, which, coarse in taken:
         view = View.of(one, job.projector, place[which, None] * ahead)
         first = heights(view, images, coarse, drift_sigma=DRIFT)
@@ -227,15 +227,15 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     blurs = []
     if job.by == "cameras":
         noise = tuple(float(one) for one in np.mean(noises, axis=0))
-        told.append(_by_cameras(job, [one[:3] for one in taken], place, grid, (noise[0], noise[1], noise[2])))
+        measured.append(_by_cameras(job, [one[:3] for one in taken], place, grid, (noise[0], noise[1], noise[2])))
         blurs.append(cell / 2)
     for (one, images, which, _), noise in zip(taken if job.by == "slide" else [], noises, strict=False):
         view = View.of(one, job.projector, place[which, None] * ahead)
         found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
-        told.append(_certain(view, grid, found, job.head.rms_rad))
+        measured.append(_certain(view, grid, found, job.head.rms_rad))
         blurs.append(blur or cell / 2)
-    both = merged(told)
-    apart = _apart(told)
+    both = merged(measured)
+    apart = _apart(measured)
     both = replace(both, sigma_mm=both.sigma_mm * apart)
     both = edged(grid, both, float(np.mean(blurs)))
     i, j = (one.ravel() for one in np.meshgrid(nodes[0], nodes[1]))
@@ -311,10 +311,10 @@ def _certain(view: View, grid: Points, found: Heights, rms_rad: float) -> Height
     return replace(found, height_mm=height, sigma_mm=sigma, flag=flag.astype(float))
 
 
-def _apart(told: Sequence[Heights]) -> float:
+def _apart(measured: Sequence[Heights]) -> float:
     """How many times their sigma two cameras differ on the same cells, at least 1; nothing checks one camera alone."""
     out = [1.0]
-    for a, b in itertools.pairwise(told):
+    for a, b in itertools.pairwise(measured):
         gap = (a.height_mm - b.height_mm) / np.hypot(a.sigma_mm, b.sigma_mm)
         gap = gap[np.isfinite(gap)]
         if len(gap) >= CHECKED_MIN:

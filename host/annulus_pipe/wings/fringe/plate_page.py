@@ -56,8 +56,8 @@ def write_plate(plate: Plate, account: Account, out: Path, *, paper: Paper | Non
 
 
 def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
-    told = np.isfinite(plate.height_mm)
-    quantiles = np.percentile(plate.sigma_mm[told], QUANTILES) if told.any() else [math.nan] * 3
+    known = np.isfinite(plate.height_mm)
+    quantiles = np.percentile(plate.sigma_mm[known], QUANTILES) if known.any() else [math.nan] * 3
     off = plate.places_mm - plate.places_mm[0] - (plate.odometer_mm - plate.odometer_mm[0])
     timing = {**account.timing_ms, "results_files": files_ms}
     out: dict[str, Any] = {
@@ -76,9 +76,9 @@ def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
             "cell_mm": float(plate.x_mm[1] - plate.x_mm[0]) if len(plate.x_mm) > 1 else None,
         },
         "height_mm": {
-            "min": float(np.min(plate.height_mm[told])) if told.any() else None,
-            "median": float(np.median(plate.height_mm[told])) if told.any() else None,
-            "max": float(np.max(plate.height_mm[told])) if told.any() else None,
+            "min": float(np.min(plate.height_mm[known])) if known.any() else None,
+            "median": float(np.median(plate.height_mm[known])) if known.any() else None,
+            "max": float(np.max(plate.height_mm[known])) if known.any() else None,
         },
         "sigma_mm": {f"p{p}": float(q) for p, q in zip(QUANTILES, quantiles, strict=True)},
         "completeness": round(plate.completeness, 5),
@@ -100,7 +100,7 @@ def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
 
 def _write_cloud(path: Path, plate: Plate) -> None:
     points = plate.cloud()
-    told = np.isfinite(plate.height_mm)
+    known = np.isfinite(plate.height_mm)
     records = np.empty(
         len(points),
         dtype=[
@@ -115,25 +115,25 @@ def _write_cloud(path: Path, plate: Plate) -> None:
     )
     for axis, name in enumerate("xyz"):
         records[name] = points[:, axis]
-    grey = np.clip(plate.light[told], 0, 255).astype(np.uint8)
+    grey = np.clip(plate.light[known], 0, 255).astype(np.uint8)
     for name in ("red", "green", "blue"):
         records[name] = grey
-    records["sigma"] = plate.sigma_mm[told]
+    records["sigma"] = plate.sigma_mm[known]
     write_ply(path, records, note=CLOUD_NOTE)
 
 
 def _heights(plate: Plate) -> bytes:
-    told = plate.height_mm[np.isfinite(plate.height_mm)]
-    low, high = np.percentile(told, SCALE_PERCENTILES) if len(told) else (0.0, 0.0)
-    usual = float(np.median(plate.sigma_mm[np.isfinite(plate.sigma_mm)])) if len(told) else 0.0
+    known = plate.height_mm[np.isfinite(plate.height_mm)]
+    low, high = np.percentile(known, SCALE_PERCENTILES) if len(known) else (0.0, 0.0)
+    usual = float(np.median(plate.sigma_mm[np.isfinite(plate.sigma_mm)])) if len(known) else 0.0
     scale = round_up(max(abs(low), abs(high), 4 * usual))
     # a plate is drawn as a pipe is: towards the head blue, away from it red
     return _map(plate, plate.height_mm, DEVIATION.reversed(), (-scale, scale), "height towards the head, mm", "both")
 
 
 def _sigma(plate: Plate) -> bytes:
-    told = plate.sigma_mm[np.isfinite(plate.sigma_mm)]
-    top = round_up(float(np.percentile(told, 98))) if len(told) else 1.0
+    known = plate.sigma_mm[np.isfinite(plate.sigma_mm)]
+    top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
     return _map(plate, plate.sigma_mm, "viridis", (0.0, top), "sigma of the height (k = 1), mm", "max")
 
 

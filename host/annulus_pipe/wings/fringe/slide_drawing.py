@@ -34,7 +34,7 @@ def write_ring_slide(slide: RingSlide, folder: Path) -> list[Path]:
         "nominal_radius_mm": projector.nominal_radius_mm,
         "phase0": projector.phase0,
     }
-    said = {
+    design = {
         "dpi": dpi,
         "inner_mm": slide.inner_mm,
         "outer_mm": slide.outer_mm,
@@ -42,7 +42,7 @@ def write_ring_slide(slide: RingSlide, folder: Path) -> list[Path]:
         "defocus_mm": slide.defocus_mm,
         "transmission": "linear: grey 255 is clear, 0 is black",
     }
-    pattern = {"pattern": {"kind": "fringe", "projector": section, "design": said}}
+    pattern = {"pattern": {"kind": "fringe", "projector": section, "design": design}}
     out = [folder / name for name in ("slide.png", "bars.png", "slide.json", "calibration.json")]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -50,7 +50,7 @@ def write_ring_slide(slide: RingSlide, folder: Path) -> list[Path]:
         bars = np.where(slide.is_dark(radius), 0, 255).astype(np.uint8)
         for path, image in zip(out, (grey, bars), strict=False):
             path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-        out[2].write_text(json.dumps(said, indent=1) + "\n")
+        out[2].write_text(json.dumps(design, indent=1) + "\n")
         out[3].write_text(json.dumps(pattern, indent=1) + "\n")
     except OSError as error:
         raise AnnulusError(f"{folder}: cannot be written ({error.strerror}).") from None

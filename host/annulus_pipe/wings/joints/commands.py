@@ -59,19 +59,21 @@ def image_command(
             joint = image(volume, parts, report)
         except AnnulusError as error:
             raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
-    for said, found, name, part in (
+    for expected, found, name, part in (
         (volume.outer_diameter_mm, 2 * joint.found.radius_mm, "outer diameter", DIAMETER_AGREES),
         (volume.wall_mm, joint.found.wall_mm, "wall", WALL_AGREES),
     ):
-        agree(ct, volume, said, found, f"the pipe's {name}", part)
-    told = summary(joint)
+        agree(ct, volume, expected, found, f"the pipe's {name}", part)
+    figures = summary(joint)
     named = features(joint)
-    files = write_joint(out, named, maps(joint), told)
+    files = write_joint(out, named, maps(joint), figures)
     if as_json:
         voxels = {"form": volume.form, "shape": list(volume.shape), "voxel_mm": list(volume.voxel_mm)}
-        print(json.dumps({"volume": voxels, **told, "flaws": named["found"], "files": [str(file) for file in files]}))
+        print(
+            json.dumps({"volume": voxels, **figures, "flaws": named["found"], "files": [str(file) for file in files]})
+        )
         return
-    _print(volume, told, named["found"])
+    _print(volume, figures, named["found"])
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
@@ -192,7 +194,7 @@ def register_command(
     from annulus_pipe.wings.joints.raster_file import read_joint, read_raster
     from annulus_pipe.wings.joints.strength_file import read_features
 
-    said, maps = read_joint(folder)
+    joint, maps = read_joint(folder)
     phi, curves = read_features(folder / "features.json", ["zj", "W"])
     if len(phi) != len(maps["phi_deg"]) or not np.isfinite(curves["zj"]).all():
         raise AnnulusError(f"{folder / 'features.json'}: phi_deg or zj, expected as in maps.npz")
@@ -208,7 +210,7 @@ def register_command(
         placed = place(Raster(np.radians(angle), z, np.stack(list(channels.values()))), surface)
     except AnnulusError as error:
         raise AnnulusError(f"{raster}: {error}") from None
-    told: dict[str, Any] = {
+    microwave: dict[str, Any] = {
         "raster": str(raster),
         "accepted": placed.accepted,
         "why_not": placed.why,
@@ -239,24 +241,24 @@ def register_command(
         for name, one in zip(channels, both, strict=True)
     }
     if placed.accepted and placed.sense:
-        told["phi_deg"] = phi
-        told |= {name: at_joint(one, maps["z_mm"], curves["zj"]) for name, one in laid.items()}
+        microwave["phi_deg"] = phi
+        microwave |= {name: at_joint(one, maps["z_mm"], curves["zj"]) for name, one in laid.items()}
     drawn = {"phi_deg": phi, "zj": curves["zj"], "W": curves["W"]}
-    files = write_scan(folder, said, told, drawn, maps, laid)
+    files = write_scan(folder, joint, microwave, drawn, maps, laid)
     if as_json:
         print(
             json.dumps(
-                {k: v for k, v in told.items() if k != "phi_deg" and k not in laid} | {"files": [*map(str, files)]}
+                {k: v for k, v in microwave.items() if k != "phi_deg" and k not in laid} | {"files": [*map(str, files)]}
             )
         )
         return
     print(f"raster     {len(angle)} angles x {len(z)} z, {' and '.join(channels)}")
     print(
-        f"lies at    shift {told['shift_deg']:.1f} deg, sigma {told['shift_sigma_deg']:.1f}; the joint at z "
+        f"lies at    shift {microwave['shift_deg']:.1f} deg, sigma {microwave['shift_sigma_deg']:.1f}; the joint at z "
         f"{placed.raster_joint_mm:.2f} mm of the raster, sigma {placed.raster_joint_sigma_mm:.2f}"
     )
-    print(f"sense      of angle {told['sense']}, along the pipe {told['sense_along']}")
-    for other in told["as_likely"]:
+    print(f"sense      of angle {microwave['sense']}, along the pipe {microwave['sense_along']}")
+    for other in microwave["as_likely"]:
         print(
             f"as likely  shift {other['shift_deg']:.1f} deg, of angle {other['sense']}, "
             f"along the pipe {other['sense_along']}"
@@ -286,26 +288,26 @@ def report_command(
     print(json.dumps({"report": str(page)}) if as_json else f"report     {page}")
 
 
-def _print(volume: Any, told: dict[str, Any], found: list[dict[str, Any]]) -> None:
+def _print(volume: Any, figures: dict[str, Any], found: list[dict[str, Any]]) -> None:
     def span(name: str) -> str:
-        median, least, greatest = (told[name][key] for key in ("median", "least", "greatest"))
+        median, least, greatest = (figures[name][key] for key in ("median", "least", "greatest"))
         return "not told" if median is None else f"{median:.2f} ({least:.2f} to {greatest:.2f})"
 
     sizes = " x ".join(str(n) for n in volume.shape), " x ".join(f"{v:.4g}" for v in volume.voxel_mm)
     print(f"volume     {volume.form}, {sizes[0]} voxels (z, y, x) of {sizes[1]} mm")
     print(
-        f"pipe       outer diameter {told['outer_diameter_mm']:.2f} mm, wall {span('wall_mm')} mm, "
-        f"leaning {told['lean_deg']:.2f} deg, joint at z {told['joint_z_mm']:.2f} mm"
+        f"pipe       outer diameter {figures['outer_diameter_mm']:.2f} mm, wall {span('wall_mm')} mm, "
+        f"leaning {figures['lean_deg']:.2f} deg, joint at z {figures['joint_z_mm']:.2f} mm"
     )
     print(f"bead out   height {span('bead_out_height_mm')} mm, width {span('bead_out_width_mm')} mm")
     print(f"bead in    height {span('bead_in_height_mm')} mm, width {span('bead_in_width_mm')} mm")
-    aside = told["hilo_mm"]
+    aside = figures["hilo_mm"]
     print(
         f"hi-lo      axes {aside['axes_aside']:.3f} mm aside, greatest step outside "
         f"{aside['greatest_outside']:.3f} mm at {aside['at_deg']:.0f} deg, sigma {aside['sigma']:.3f} mm"
     )
-    print(f"T          {span('T_mm')} mm, sigma {told['T_sigma_mm']:.3f} mm")
-    sigma = told["W_sigma_mm"]
+    print(f"T          {span('T_mm')} mm, sigma {figures['T_sigma_mm']:.3f} mm")
+    sigma = figures["W_sigma_mm"]
     print(f"W          {span('W_mm')} mm" + ("" if sigma is None else f", sigma {sigma:.3f} mm"))
     print(f"zone       density {span('zone_density_percent')} % of plain wall's")
     for flaw in found:
@@ -316,5 +318,5 @@ def _print(volume: Any, told: dict[str, Any], found: list[dict[str, Any]]) -> No
     if not found:
         print("flaws      none seen in the wall; beads and the skin within two voxels are not looked at")
     for key, word in (("angles_without_zone", "zone"), ("angles_without_bead", "bead")):
-        if told[key]:
-            print(f"note       {told[key]} angles without a {word} that can be told")
+        if figures[key]:
+            print(f"note       {figures[key]} angles without a {word} that can be told")

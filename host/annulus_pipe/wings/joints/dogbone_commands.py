@@ -61,7 +61,7 @@ def correlate_command(
         raise AnnulusError(f"{strength}: {error}") from None
     search = Search(within_deg, senses=SENSES[sense])
     relations = correlate(curves, strengths, search)
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "strengths": str(strength),
         "n": len(angles),
         "angle_deg": angles,
@@ -90,14 +90,14 @@ def correlate_command(
             for one in relations
         },
     }
-    for one in told["features"].values():
+    for one in content["features"].values():
         one["verdict"] = _verdict(one, LEVEL)
-    files = write_correlation(folder, told, curves, {one.name: one.chance for one in relations})
+    files = write_correlation(folder, content, curves, {one.name: one.chance for one in relations})
     if as_json:
         print((folder / "correlate.json").read_text())
         return
     print(f"strengths  {len(angles)} dogbones; sought within {within_deg:g} deg either way, sense {sense.value}")
-    for name, one in told["features"].items():
+    for name, one in content["features"].items():
         print(
             f"{name:<10} r {one['r']:+.3f} at shift {one['shift_deg']:+g} deg, "
             f"{'same sense' if one['sense'] > 0 else 'mirrored'}; p over the search {one['p']:.4f}, over all tried "
@@ -153,7 +153,7 @@ def transmission_command(
     except AnnulusError as error:
         raise AnnulusError(str(error) if str(folder) in str(error) else f"{lines}: {error}") from None
     inside = found.inside
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "lines": str(lines),
         "units": "mm, degrees, absorbance to base e",
         "dogbone_deg": angles.tolist(),
@@ -177,9 +177,9 @@ def transmission_command(
             raise AnnulusError(f"{strength}: has not the {len(angles)} dogbones of {lines}, expected their angles")
         energy = energy[np.argmax(same, axis=1)]
         r, as_good, least = against_strengths(found.depth, energy)
-        told |= {"energy_j": energy.tolist(), "r": r, "as_good_by_turning": as_good, "least_by_turning": least}
+        content |= {"energy_j": energy.tolist(), "r": r, "as_good_by_turning": as_good, "least_by_turning": least}
     curves = {"z_mm": z, "absorbance": found.absorbance, "gradient": found.gradient, "deviation": found.deviation}
-    files = write_transmission(folder, told, curves)
+    files = write_transmission(folder, content, curves)
     if as_json:
         print((folder / "transmission.json").read_text())
         return
@@ -188,18 +188,19 @@ def transmission_command(
     for k, angle in enumerate(angles):
         print(
             f"{angle:>6g} deg  absorbance {found.depth[k]:.4f}, sigma {found.depth_sigma[k]:.4f}; gradient "
-            f"{told['gradient_per_mm'][k]:.3f} /mm, deviation {told['deviation'][k]:.4f}"
+            f"{content['gradient_per_mm'][k]:.3f} /mm, deviation {content['deviation'][k]:.4f}"
         )
     print(f"plain wall gradient {found.plain_gradient:.3f} /mm, deviation {found.plain_deviation:.4f} (1 in 400 above)")
     if zero_deg is None:
         print("thickness  each line's own plain wall is taken out; the CT's needs --zero-deg")
     else:
-        done = "taken out along the lines" if told["thickness_taken_out"] else "left in: alpha is not told from 0"
+        done = "taken out along the lines" if content["thickness_taken_out"] else "left in: alpha is not told from 0"
         print(f"thickness  alpha {found.alpha:.3f} /mm, sigma {found.alpha_sigma:.3f}: {done}")
     if strength is not None:
         print(
-            f"strengths  r {told['r']:+.3f} over {len(angles)} dogbones; turned or mirrored "
-            f"{100 * told['as_good_by_turning']:.0f} % of ways do as well, least {100 * told['least_by_turning']:.0f} %"
+            f"strengths  r {content['r']:+.3f} over {len(angles)} dogbones; turned or mirrored "
+            f"{100 * content['as_good_by_turning']:.0f} % of ways do as well, "
+            f"least {100 * content['least_by_turning']:.0f} %"
         )
     print(f"files      {', '.join(str(file) for file in files)}")
 
@@ -231,7 +232,7 @@ def strip_command(
         except AnnulusError as error:
             raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
     agree(ct, volume, volume.wall_mm, found.wall_mm, "the wall", WALL_AGREES)
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "ct": str(ct),
         "voxel_mm": list(volume.voxel_mm),
         "W_mm": found.w_mm,
@@ -245,7 +246,7 @@ def strip_command(
         "lean_deg": found.lean_deg,
         "joint_mm": found.joint_mm,
     }
-    files = write_strip(out, told, found.z_mm, found.across_mm, found.section)
+    files = write_strip(out, content, found.z_mm, found.across_mm, found.section)
     if as_json:
         print((out / "strip.json").read_text())
         return
@@ -254,8 +255,8 @@ def strip_command(
         ("W", found.w_mm, found.w_sigma_mm, "no zone stands out of plain wall"),
         ("T", found.t_mm, found.t_sigma_mm, "no notch is seen on both faces"),
     ):
-        said = f"{value:.2f} mm, sigma {sigma:.2f} mm" if math.isfinite(value) else f"not told: {why}"
-        print(f"{name:<10} {said}")
+        words = f"{value:.2f} mm, sigma {sigma:.2f} mm" if math.isfinite(value) else f"not told: {why}"
+        print(f"{name:<10} {words}")
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
@@ -345,7 +346,7 @@ def classify_command(
             "cannot be told, whatever had come out: too few joints" if found.least_p > LEVEL else "not told from chance"
         )
     )
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "dogbones": str(dogbones),
         "features": names,
         "mean_deg": mean_deg,
@@ -361,7 +362,7 @@ def classify_command(
         "least_p": found.least_p,
         "verdict": verdict,
     }
-    files = write_clusters(out, told)
+    files = write_clusters(out, content)
     if as_json:
         print((out / "clusters.json").read_text())
         return

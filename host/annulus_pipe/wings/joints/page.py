@@ -6,7 +6,7 @@ from typing import Any
 
 import jinja2
 
-from annulus_pipe.numeric.rounding import ANGLE, MEASURE, PERCENT, said, span
+from annulus_pipe.numeric.rounding import ANGLE, MEASURE, PERCENT, quoted, span
 from annulus_pipe.report.sheet import minute, sheet
 from annulus_pipe.report.summary import versions
 from annulus_pipe.untrusted import mapping, parse_json
@@ -55,7 +55,7 @@ def write_joint_page(folder: Path) -> Path:
             relations=relations,
             light=light,
             n=correlated.get("n"),
-            said=_said(features["summary"], flaws, scan, relations),
+            said=_sentences(features["summary"], flaws, scan, relations),
         )
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
         raise AnnulusError(f"{source}: {error}: expected what `annulus joint image` writes") from None
@@ -67,7 +67,7 @@ def write_joint_page(folder: Path) -> Path:
     return out
 
 
-def _said(
+def _sentences(
     summary: dict[str, Any], flaws: list[dict[str, Any]], scan: dict[str, Any] | None, relations: dict[str, Any]
 ) -> list[str]:
     kinds = [one["kind"] for one in flaws]
@@ -78,24 +78,24 @@ def _said(
     hilo = summary["hilo_mm"]
     step, k2 = abs(hilo["greatest_outside"]), 2 * hilo["sigma"]
     out.append(
-        f"The ends are offset by {said(step, MEASURE)} at most."
+        f"The ends are offset by {quoted(step, MEASURE)} at most."
         if step > k2
-        else f"No offset of the ends beyond {said(max(step, k2), MEASURE)}."
+        else f"No offset of the ends beyond {quoted(max(step, k2), MEASURE)}."
     )
     zone = summary["zone_density_percent"]
     if zone["median"] is None:
         out.append("No heat-affected zone stands out of the wall's density.")
     else:
         out.append(
-            f"The heat-affected zone has {said(zone['median'], PERCENT)} of the plain wall's density, "
+            f"The heat-affected zone has {quoted(zone['median'], PERCENT)} of the plain wall's density, "
             f"{span(zone['least'], zone['greatest'], PERCENT)} round the joint."
         )
     if scan is not None and not scan["accepted"]:
         out.append(f"The near-field scan could not be laid on this joint: {scan['why_not']}.")
     elif scan is not None:
         out.append(
-            f"The near-field scan lies {said(scan['shift_deg'], ANGLE, 2 * scan['shift_sigma_deg'])} (k = 2) from the "
-            f"CT's zero, sense {scan['sense']}."
+            f"The near-field scan lies {quoted(scan['shift_deg'], ANGLE, 2 * scan['shift_sigma_deg'])} (k = 2) from "
+            f"the CT's zero, sense {scan['sense']}."
         )
     out += [
         f"{name} and the strengths: {one['verdict']} (r {one['r']:+.2f}, p over the search {one['p']:.3f})."

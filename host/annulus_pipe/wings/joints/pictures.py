@@ -37,11 +37,11 @@ def write_joint(
 ) -> list[Path]:
     """Writes all files of a joint into the folder, made if need be; their paths."""
     with _into(folder):
-        told = {name: _plain(value) for name, value in features.items()} | {
+        content = {name: _plain(value) for name, value in features.items()} | {
             "units": "mm, degrees",
             "summary": dict(summary),
         }
-        (folder / "features.json").write_text(json.dumps(told, allow_nan=False))
+        (folder / "features.json").write_text(json.dumps(content, allow_nan=False))
         np.savez_compressed(folder / "maps.npz", **{k: v.astype(np.float32) for k, v in maps.items()})  # type: ignore[arg-type]
         with in_style():
             pictures = {
@@ -55,128 +55,132 @@ def write_joint(
 
 
 def write_correlation(
-    folder: Path, told: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]
+    folder: Path, correlation: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]
 ) -> list[Path]:
     """Writes correlate.json and correlate.png into the folder; their paths.
 
-    told : what correlate.json holds; its `features` by name are drawn. curves : (P,) smoothed features, even round the
-    pipe. chance : (N,) greatest |r| by chance.
+    correlation : what correlate.json holds; its `features` by name are drawn. curves : (P,) smoothed features, even
+    round the pipe. chance : (N,) greatest |r| by chance.
     """
     with _into(folder):
-        (folder / "correlate.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        (folder / "correlate.json").write_text(json.dumps(_plain(correlation), allow_nan=False))
         with in_style():
-            (folder / "correlate.png").write_bytes(png(_relations(told, curves, chance)))
+            (folder / "correlate.png").write_bytes(png(_relations(correlation, curves, chance)))
     return [folder / "correlate.json", folder / "correlate.png"]
 
 
 def write_scan(
     folder: Path,
-    said: Mapping[str, Any],
-    told: Mapping[str, Any],
+    joint: Mapping[str, Any],
+    microwave: Mapping[str, Any],
     features: Mapping[str, Any],
     maps: Mapping[str, FloatArray],
     laid: Mapping[str, FloatArray],
 ) -> list[Path]:
     """A raster laid on a joint: `microwave` in features.json, scan.npz and scan.png; their paths.
 
-    said : what features.json says. told : what becomes its `microwave`. laid : (Z, P) maps by name, on the grid of
-    `maps`, `joint_..` and `material_..` of each channel.
+    joint : what features.json says. microwave : what becomes its `microwave`. laid : (Z, P) maps by name, on the grid
+    of `maps`, `joint_..` and `material_..` of each channel.
     """
     with _into(folder):
         beside = folder / ".features.json.part"
-        beside.write_text(json.dumps({**said, "microwave": _plain(told)}, allow_nan=False))
+        beside.write_text(json.dumps({**joint, "microwave": _plain(microwave)}, allow_nan=False))
         beside.replace(folder / "features.json")
         axes = {name: maps[name] for name in ("z_mm", "phi_deg")}
         np.savez_compressed(folder / "scan.npz", **{k: v.astype(np.float32) for k, v in (axes | dict(laid)).items()})  # type: ignore[arg-type]
         with in_style():
-            (folder / "scan.png").write_bytes(png(_scan(told, features, maps, laid)))
+            (folder / "scan.png").write_bytes(png(_scan(microwave, features, maps, laid)))
     return [folder / name for name in ("features.json", "scan.npz", "scan.png")]
 
 
-def write_clusters(folder: Path, told: Mapping[str, Any]) -> list[Path]:
-    """clusters.json and clusters.png in the folder, made if need be; their paths. told : what clusters.json holds."""
+def write_clusters(folder: Path, clusters: Mapping[str, Any]) -> list[Path]:
+    """clusters.json and clusters.png in the folder, made if need be; their paths. clusters : what the first holds."""
     with _into(folder):
-        (folder / "clusters.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        (folder / "clusters.json").write_text(json.dumps(_plain(clusters), allow_nan=False))
         with in_style():
-            (folder / "clusters.png").write_bytes(png(_clusters(told)))
+            (folder / "clusters.png").write_bytes(png(_clusters(clusters)))
     return [folder / name for name in ("clusters.json", "clusters.png")]
 
 
-def _clusters(told: Mapping[str, Any]) -> Figure:
+def _clusters(clusters: Mapping[str, Any]) -> Figure:
     figure = Figure(figsize=(0.75 * WIDTH_IN, 0.55 * WIDTH_IN), layout="constrained")
     axes = figure.subplots()
-    values, names = np.asarray(told["values"], float), told["features"]
-    y = values[:, 1] if len(names) > 1 else np.array([told["joints"].index(one) for one in told["joint"]], float)
+    values, names = np.asarray(clusters["values"], float), clusters["features"]
+    y = (
+        values[:, 1]
+        if len(names) > 1
+        else np.array([clusters["joints"].index(one) for one in clusters["joint"]], float)
+    )
     for is_good, colour, word in ((True, BUMP_BLUE, "good"), (False, LOSS_RED, "bad")):
-        mine = np.array([one == is_good for one in told["good"]])
+        mine = np.array([one == is_good for one in clusters["good"]])
         axes.plot(values[mine, 0], y[mine], "o", color=colour, ms=6, label=word)
-    wrong = np.array([called != true for called, true in zip(told["called_good"], told["good"], strict=True)])
+    wrong = np.array([called != true for called, true in zip(clusters["called_good"], clusters["good"], strict=True)])
     axes.plot(values[wrong, 0], y[wrong], "o", mfc="none", mec=INK, ms=12, label="told wrongly by the other joints")
     axes.set(xlabel=f"{names[0]}, mean over a dogbone", ylabel=f"{names[1]}, the same" if len(names) > 1 else "joint")
     axes.set_title(
-        f"Each joint told by the others: {100 * told['balanced']:.0f} % of good and bad alike (guessing 50), "
-        f"p {told['p']:.3f}",
+        f"Each joint told by the others: {100 * clusters['balanced']:.0f} % of good and bad alike (guessing 50), "
+        f"p {clusters['p']:.3f}",
         fontsize=10,
     )
     axes.legend(fontsize=8)
     return figure
 
 
-def write_transmission(folder: Path, told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> list[Path]:
+def write_transmission(folder: Path, transmission: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> list[Path]:
     """transmission.json and transmission.png in the folder, made if need be; their paths.
 
-    told : what transmission.json holds, `dogbone_deg` and the numbers by dogbone among it. curves : z_mm (Z,), and
-    absorbance, gradient, deviation (n, Z), drawn.
+    transmission : what transmission.json holds, `dogbone_deg` and the numbers by dogbone among it. curves : z_mm (Z,),
+    and absorbance, gradient, deviation (n, Z), drawn.
     """
     with _into(folder):
-        (folder / "transmission.json").write_text(json.dumps(_plain({**told, **curves}), allow_nan=False))
+        (folder / "transmission.json").write_text(json.dumps(_plain({**transmission, **curves}), allow_nan=False))
         with in_style():
-            (folder / "transmission.png").write_bytes(png(_transmission(told, curves)))
+            (folder / "transmission.png").write_bytes(png(_transmission(transmission, curves)))
     return [folder / name for name in ("transmission.json", "transmission.png")]
 
 
 def write_strip(
-    folder: Path, told: Mapping[str, Any], z_mm: FloatArray, across_mm: FloatArray, section: Float32Array
+    folder: Path, strip: Mapping[str, Any], z_mm: FloatArray, across_mm: FloatArray, section: Float32Array
 ) -> list[Path]:
     """strip.json and strip.png in the folder, made if need be; their paths.
 
-    told : what strip.json holds. section : (Z, R) grey of the strip's middle, along it and through its thickness, mm.
+    strip : what strip.json holds. section : (Z, R) grey of the strip's middle, along it and through its thickness, mm.
     """
     with _into(folder):
-        (folder / "strip.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        (folder / "strip.json").write_text(json.dumps(_plain(strip), allow_nan=False))
         with in_style():
             figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
             axes = figure.subplots()
-            wall = np.abs(across_mm) < 0.4 * told["wall_mm"]
+            wall = np.abs(across_mm) < 0.4 * strip["wall_mm"]
             low, high = np.percentile(section[:, wall], (1, 99))
             box = (z_mm[0], z_mm[-1], across_mm[0], across_mm[-1])
             axes.imshow(section.T, cmap="gray", origin="lower", extent=box, vmin=low - 0.5 * (high - low), vmax=high)
             for way in (-0.5, 0.5):
-                if math.isfinite(told["W_mm"]):
-                    axes.axvline(told["joint_mm"] + way * told["W_mm"], color=LOSS_RED, lw=1.2)
-            said = ", ".join(
+                if math.isfinite(strip["W_mm"]):
+                    axes.axvline(strip["joint_mm"] + way * strip["W_mm"], color=LOSS_RED, lw=1.2)
+            title = ", ".join(
                 f"{name} not told"
-                if not math.isfinite(told[f"{name}_mm"])
-                else f"{name} {told[f'{name}_mm']:.2f} ± {2 * told[f'{name}_sigma_mm']:.2f} mm"
+                if not math.isfinite(strip[f"{name}_mm"])
+                else f"{name} {strip[f'{name}_mm']:.2f} ± {2 * strip[f'{name}_sigma_mm']:.2f} mm"
                 for name in ("W", "T")
             )
-            axes.set_title(f"{said} (k=2)")
+            axes.set_title(f"{title} (k=2)")
             axes.set(xlabel="along the strip, mm", ylabel="through it, mm")
             (folder / "strip.png").write_bytes(png(figure))
     return [folder / name for name in ("strip.json", "strip.png")]
 
 
-def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> Figure:
+def _transmission(transmission: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 7.5), layout="constrained")
     panels = figure.subplots(3, sharex=True)
-    angles, energy = told["dogbone_deg"], told.get("energy_j")
+    angles, energy = transmission["dogbone_deg"], transmission.get("energy_j")
     weak = [INK if energy is None or one > np.median(energy) else LOSS_RED for one in energy or angles]
     for axes, (name, label, most) in zip(
         panels,
         (
             ("absorbance", "absorbance over plain wall", None),
-            ("gradient", "smoothed gradient, 1/mm", told["plain_gradient_per_mm"]),
-            ("deviation", "deviation within 2 mm", told["plain_deviation"]),
+            ("gradient", "smoothed gradient, 1/mm", transmission["plain_gradient_per_mm"]),
+            ("deviation", "deviation within 2 mm", transmission["plain_deviation"]),
         ),
         strict=True,
     ):
@@ -184,7 +188,7 @@ def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> 
             axes.plot(curves["z_mm"], line, color=colour, lw=0.9)
             peak = int(np.nanargmax(np.abs(line)))
             axes.annotate(f"{angle:g}", (curves["z_mm"][peak], line[peak]), fontsize=7, color=colour)
-        axes.axvspan(*told["joint_mm"], color=FAINT, alpha=0.15, lw=0)
+        axes.axvspan(*transmission["joint_mm"], color=FAINT, alpha=0.15, lw=0)
         for level in () if most is None else (most, -most) if name == "gradient" else (most,):
             axes.axhline(level, color=FAINT, lw=0.8, ls=":")
         axes.set_ylabel(label)
@@ -197,7 +201,10 @@ def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> 
 
 
 def _scan(
-    told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[str, FloatArray], laid: Mapping[str, FloatArray]
+    microwave: Mapping[str, Any],
+    features: Mapping[str, Any],
+    maps: Mapping[str, FloatArray],
+    laid: Mapping[str, FloatArray],
 ) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.6 * len(laid)), layout="constrained")
     middle = float(np.mean(features["zj"]))
@@ -224,21 +231,23 @@ def _scan(
         axes.set_ylim(BESIDE_MM, -BESIDE_MM)
     panels[-1].set_xlabel("angle, degrees from the volume's x to its y")
     figure.suptitle(
-        f"shift {told['shift_deg']:.1f} deg, sigma {told['shift_sigma_deg']:.1f}, sense {told['sense']}"
-        + ("" if told["accepted"] else ": NOT ACCEPTED as of this joint"),
+        f"shift {microwave['shift_deg']:.1f} deg, sigma {microwave['shift_sigma_deg']:.1f}, sense {microwave['sense']}"
+        + ("" if microwave["accepted"] else ": NOT ACCEPTED as of this joint"),
         fontsize=11,
     )
     return figure
 
 
-def _relations(told: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]) -> Figure:
+def _relations(
+    correlation: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]
+) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * len(curves)), layout="constrained")
     rows = figure.subplots(len(curves), 2, squeeze=False, width_ratios=(2, 1))
-    energy = np.array(told["energy_j"])
+    energy = np.array(correlation["energy_j"])
     for (along, odds), (name, curve) in zip(rows, curves.items(), strict=True):
-        one = told["features"][name]
+        one = correlation["features"][name]
         along.plot(np.linspace(0, 360, len(curve), endpoint=False), curve, color=INK, lw=1.2)
-        at = (one["sense"] * np.array(told["angle_deg"]) + one["shift_deg"]) % 360
+        at = (one["sense"] * np.array(correlation["angle_deg"]) + one["shift_deg"]) % 360
         beside = along.twinx()
         beside.plot(at, energy, "o", color=LOSS_RED, ms=6)
         if one["r"] < 0:

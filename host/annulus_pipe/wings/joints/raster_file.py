@@ -43,7 +43,7 @@ def read_joint(folder: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """What features.json says, and of maps.npz z_mm (Z,), phi_deg (P,), even from 0, and `MAPS` (Z, P), finite."""
     path = folder / "features.json"
     try:
-        said = dict(mapping(parse_json(read_bounded(path, BYTES_MAX), BYTES_MAX), "features"))
+        features = dict(mapping(parse_json(read_bounded(path, BYTES_MAX), BYTES_MAX), "features"))
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}") from None
     path = folder / "maps.npz"
@@ -56,7 +56,7 @@ def read_joint(folder: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     for name in MAPS:
         _require_shape(path, name, held[name], (len(z), len(phi)), "z_mm x phi_deg")
         _require_finite(path, name, held[name])
-    return said, held
+    return features, held
 
 
 def read_walls(folder: Path) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

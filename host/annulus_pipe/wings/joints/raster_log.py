@@ -78,9 +78,9 @@ class RasterLog:
 
     def add(self, i: int, j: int, values: Mapping[str, float]) -> None:
         """Keep a point, on disk when this returns."""
-        told = tuple(values[name] for name in self.channels)
-        self._append(f"{i},{j},{','.join(f'{value:.6g}' for value in told)}\n".encode())
-        self.points[i, j] = told
+        readings = tuple(values[name] for name in self.channels)
+        self._append(f"{i},{j},{','.join(f'{value:.6g}' for value in readings)}\n".encode())
+        self.points[i, j] = readings
 
     def close(self) -> None:
         self._file.close()

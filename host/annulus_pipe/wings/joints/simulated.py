@@ -129,8 +129,8 @@ class NearFieldRig:
     def run(self, over: threading.Event) -> None:
         """Serve port, stage and meter until `over`."""
         for _ in rounds(self.board, self._serial, (self._stage_line, self._lan), self.advance, over):
-            if told := self._stage_line.read():
-                self._stage_line.write(self.stage.receive(told, time.monotonic()))
+            if data := self._stage_line.read():
+                self._stage_line.write(self.stage.receive(data, time.monotonic()))
             self._asked = (self._asked + self._lan.read())[-4096:]
             while b"\n" in self._asked:
                 query, _, self._asked = self._asked.partition(b"\n")
@@ -143,8 +143,8 @@ class NearFieldRig:
             self.deaf -= 1
             return b""
         self.readings += 1
-        told = self.field(360.0 * self.steps / self.steps_per_turn, self.stage.place(time.monotonic()))
-        return f"{(told[QUERIES[query]] + self._random.normal(0, NOISE_MV)) / 1000:.7E}\n".encode()
+        detected = self.field(360.0 * self.steps / self.steps_per_turn, self.stage.place(time.monotonic()))
+        return f"{(detected[QUERIES[query]] + self._random.normal(0, NOISE_MV)) / 1000:.7E}\n".encode()
 
     def close(self) -> None:
         self._serial.close()

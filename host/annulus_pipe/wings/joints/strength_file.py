@@ -85,11 +85,11 @@ def read_results(path: Path) -> tuple[list[str], FloatArray, BoolArray]:
             if not any(cell.strip() for cell in row):
                 continue
             angles.append(_number(path, rows.line_num, row, head, angle))
-            said = row[result].strip()
-            if said not in ("good", "bad"):
-                raise AnnulusError(f"{path}: line {rows.line_num}: result is {shown(said)}, expected good or bad")
+            outcome = row[result].strip()
+            if outcome not in ("good", "bad"):
+                raise AnnulusError(f"{path}: line {rows.line_num}: result is {shown(outcome)}, expected good or bad")
             joints.append(row[joint].strip())
-            good.append(said == "good")
+            good.append(outcome == "good")
     except csv.Error as error:
         raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
     return joints, np.array(angles, float), np.array(good, bool)
@@ -108,17 +108,17 @@ def _degrees(path: Path, name: str) -> float:
 def read_features(path: Path, names: Sequence[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
     """(P,) phi_deg, rising within one turn, and the named features (P,) of a features.json, NaN where it says null."""
     try:
-        said = mapping(parse_json(read_bounded(path, JSON_MAX), JSON_MAX), "features")
+        content = mapping(parse_json(read_bounded(path, JSON_MAX), JSON_MAX), "features")
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}") from None
-    phi = _curve(path, said.get("phi_deg"), "phi_deg")
+    phi = _curve(path, content.get("phi_deg"), "phi_deg")
     if len(phi) < ANGLES_MIN or not (np.diff(phi) > 0).all() or phi[-1] - phi[0] >= 360:
         raise AnnulusError(f"{path}: phi_deg: expected {ANGLES_MIN} or more degrees, rising, within one turn")
     curves = {}
     for name in names:
-        if name not in said:
+        if name not in content:
             raise AnnulusError(f"{path}: no feature {shown(name)}; is it of `annulus joint image`?")
-        curves[name] = _curve(path, said[name], name)
+        curves[name] = _curve(path, content[name], name)
         if len(curves[name]) != len(phi):
             raise AnnulusError(f"{path}: {name} has {len(curves[name])} values, expected {len(phi)} as phi_deg has")
     return phi, curves
@@ -135,8 +135,8 @@ def _number(path: Path, line: int, row: Sequence[str], head: Sequence[str], plac
     return value
 
 
-def _curve(path: Path, said: object, name: str) -> FloatArray:
-    values = said if isinstance(said, list) else []
+def _curve(path: Path, given: object, name: str) -> FloatArray:
+    values = given if isinstance(given, list) else []
     if not values or not all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in values):
-        raise AnnulusError(f"{path}: {name} is {shown(said)}, expected a list of numbers by angle")
+        raise AnnulusError(f"{path}: {name} is {shown(given)}, expected a list of numbers by angle")
     return np.array([np.nan if v is None else v for v in values], float)

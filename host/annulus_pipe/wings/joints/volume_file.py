@@ -75,9 +75,9 @@ def open_volume(path: Path, voxel_mm: tuple[float, float, float] | None = None) 
     if not (path.is_file() or path.is_dir()):
         raise AnnulusError(f"{path}: not a file; expected a volume in .tif or .npy, or a folder of one")
     folder = path if path.is_dir() else path.parent
-    said = _said(folder / "ct.json") if (folder / "ct.json").is_file() else {}
-    pipe = mapping(said.get("pipe", {}), "pipe") if said else {}
-    stated = voxel_mm or said.get("voxel_mm")
+    description = _description(folder / "ct.json") if (folder / "ct.json").is_file() else {}
+    pipe = mapping(description.get("pipe", {}), "pipe") if description else {}
+    stated = voxel_mm or description.get("voxel_mm")
     shape, form, read, own = _form(path)
     if stated is None and own is None:
         raise AnnulusError(
@@ -128,14 +128,14 @@ def _form(path: Path) -> _Opened:
     return _tiff(tiffs[0]) if len(tiffs) == 1 else _tiffs(path, tiffs)
 
 
-def _said(path: Path) -> dict[str, Any]:
+def _description(path: Path) -> dict[str, Any]:
     try:
-        said = dict(mapping(parse_json(read_file(path, JSON_MAX), JSON_MAX), "ct.json"))
-        if "voxel_mm" in said:
-            said["voxel_mm"] = numbers(said["voxel_mm"], "voxel_mm", (3,), 1e6)
+        content = dict(mapping(parse_json(read_file(path, JSON_MAX), JSON_MAX), "ct.json"))
+        if "voxel_mm" in content:
+            content["voxel_mm"] = numbers(content["voxel_mm"], "voxel_mm", (3,), 1e6)
     except (ValueError, OSError, json.JSONDecodeError) as error:
         raise AnnulusError(f'{path}: {_why(error)}; expected {{"voxel_mm": [z, y, x]}}') from None
-    return said
+    return content
 
 
 def _why(error: BaseException) -> str:

@@ -163,17 +163,17 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     """
     mean = gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
     dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
-    found = [said for one, said in dips if said.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
+    found = [indication for one, indication in dips if indication.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
     found += [_rise(grid, one, head, limits) for one in _places(mean, 1, limits.least_ff) if _stands_out(one, limits)]
     if grid.loss_ff is not None:
         loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
         found += [
             _by_loss(grid, one, head, limits) for one in _places(loss, -1, limits.loss_ff) if _stands_out(one, limits)
         ]
-        told = float(STEP_MM * np.count_nonzero(grid.seen))
+        decidable_mm = float(STEP_MM * np.count_nonzero(grid.seen))
     else:
         dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
-        told = float(STEP_MM * np.count_nonzero(grid.seen & dry))
+        decidable_mm = float(STEP_MM * np.count_nonzero(grid.seen & dry))
     if _wanders(grid):
         found = [_all_round_or_unknown(one) for one in found]
     found = [_weak_air_is_part(_explained(one, joints_mm, head, limits)) for one in found]
@@ -190,13 +190,13 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
         ]
     )
     unseen = float(STEP_MM * np.count_nonzero(~grid.seen))
-    return Account(listed, float(np.ptp(grid.z_mm)), unseen, told, wanders=_wanders(grid), gaps=grid.gaps)
+    return Account(listed, float(np.ptp(grid.z_mm)), unseen, decidable_mm, wanders=_wanders(grid), gaps=grid.gaps)
 
 
 def _all_round_or_unknown(one: Indication) -> Indication:
     """What a log says whose head wandered, nobody knows where: it lifts off one side, and a little off the mean."""
-    told = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is Kind.AIR and math.isnan(one.phi_deg))
-    return one if told else _unknown(one)
+    sure = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is Kind.AIR and math.isnan(one.phi_deg))
+    return one if sure else _unknown(one)
 
 
 def _unknown(one: Indication) -> Indication:

@@ -39,9 +39,9 @@ class Map:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """told : numbers, units in their names. curves : (n,) each. maps : by name."""
+    """figures : numbers, units in their names. curves : (n,) each. maps : by name."""
 
-    told: dict[str, Any]
+    figures: dict[str, Any]
     curves: dict[str, FloatArray]
     maps: dict[str, Map]
 
@@ -67,7 +67,7 @@ def model(
     )
     across = {name: sectors(replace(plain, soil=one)) for name, one in (("air", AIR), ("soil", soil), ("water", WATER))}
     bores = _bores(plain, progress)
-    told = {
+    figures = {
         "drive_mhz": 6.5,
         "soil_eps": soil.real,
         "soil_eps_loss": -soil.imag,
@@ -113,7 +113,7 @@ def model(
         rho, phi = found.grid.middle.T
         points = np.stack([rho * np.cos(phi), rho * np.sin(phi)], axis=1)
         maps[f"across_{name}"] = Map(points, 1000 * found.strength([1.0, 0.0, 0.0]))
-    return Model(told, curves, maps)
+    return Model(figures, curves, maps)
 
 
 def _pair(one: Pair) -> dict[str, float]:
@@ -139,21 +139,21 @@ def _bores(plain: Section, progress: Callable[[str, int, int], None]) -> dict[st
     ]
     total = len(cases) + 3
 
-    def told(done: int) -> None:
+    def report(done: int) -> None:
         progress("fields in 3-D", done, total)
 
-    told(0)
+    report(0)
     soil = bored(plain)
-    told(1)
+    report(1)
     air = bored(replace(plain, soil=AIR))
-    told(2)
+    report(2)
     off = bored(replace(plain, off_mm=(LIFT_MM, 0.0)))
-    told(3)
+    report(3)
     swing = soil.pf - air.pf
     rows = []
     for k, (fill, name, bore) in enumerate(cases):
         one = bored(replace(plain, bore=bore))
-        told(k + 4)
+        report(k + 4)
         row = {
             "pipe": GTI[name],
             "case": name,

@@ -63,9 +63,9 @@ class Passage:
             return
         while abs(z_mm - self._places[0][1]) > self._keep:
             self._places.popleft()
-        for said in (self._rows, self._rolls):
-            while said and said[0][0] < self._places[0][0]:
-                said.popleft()
+        for track in (self._rows, self._rolls):
+            while track and track[0][0] < self._places[0][0]:
+                track.popleft()
 
     def roll(self, t_s: float, roll_deg: float) -> None:
         """Clockwise, looking ahead."""
@@ -102,27 +102,27 @@ class Passage:
             return None
         roll, rolled = np.zeros(len(rows)), np.zeros(len(rows), bool)
         if len(self._rolls) > 1:
-            said = _in_time(self._rolls)
-            said[:, 1] = np.unwrap(said[:, 1], period=360.0)
-            rolled = np.isfinite(_between(rows[:, 0], said))
-            roll = np.interp(rows[:, 0], said[:, 0], said[:, 1])
+            rolls = _in_time(self._rolls)
+            rolls[:, 1] = np.unwrap(rolls[:, 1], period=360.0)
+            rolled = np.isfinite(_between(rows[:, 0], rolls))
+            roll = np.interp(rows[:, 0], rolls[:, 0], rolls[:, 1])
         loss = rows[:, 5:8] if np.isfinite(rows[:, 5:8]).all(axis=1).mean() > 0.5 else None
         off = _off(z, np.array(self._offs)) if len(self._offs) > 1 else None
         return Run(Log(rows[:, 0], z + self._ahead, rows[:, 1:4], rows[:, 4], roll, loss, off), rolled)
 
 
-def _in_time(said: Iterable[tuple[float, ...]]) -> FloatArray:
+def _in_time(readings: Iterable[tuple[float, ...]]) -> FloatArray:
     """Of several sensors the same, in the order of their times."""
-    table = np.array(list(said))
+    table = np.array(list(readings))
     return np.asarray(table[np.argsort(table[:, 0], kind="stable")])
 
 
-def _between(at: FloatArray, said: FloatArray) -> FloatArray:
-    """NaN before the first, after the last, and where two lie too far apart. said : (N, 2) time, value."""
-    after = np.clip(np.searchsorted(said[:, 0], at), 1, len(said) - 1)
-    gap = said[after, 0] - said[after - 1, 0]
-    known = (at >= said[0, 0]) & (at <= said[-1, 0]) & (gap <= APART_S)
-    return np.where(known, np.interp(at, said[:, 0], said[:, 1]), np.nan)
+def _between(at: FloatArray, readings: FloatArray) -> FloatArray:
+    """NaN before the first, after the last, and where two lie too far apart. readings : (N, 2) time, value."""
+    after = np.clip(np.searchsorted(readings[:, 0], at), 1, len(readings) - 1)
+    gap = readings[after, 0] - readings[after - 1, 0]
+    known = (at >= readings[0, 0]) & (at <= readings[-1, 0]) & (gap <= APART_S)
+    return np.where(known, np.interp(at, readings[:, 0], readings[:, 1]), np.nan)
 
 
 def _off(z: FloatArray, offsets: FloatArray) -> FloatArray | None:

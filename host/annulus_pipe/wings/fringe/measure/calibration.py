@@ -96,11 +96,11 @@ def calibrate_plate(
     plates: Sequence[ReferencePlate], progress: Callable[[int, int], None] | None = None
 ) -> PlateCalibration:
     """AnnulusError, one line, where the frames show no fringes, or fringes that no one projector explains."""
-    told = sorted({one.z_mm for one in plates})
-    if len(told) < HEIGHTS_MIN:
+    heights_mm = sorted({one.z_mm for one in plates})
+    if len(heights_mm) < HEIGHTS_MIN:
         raise AnnulusError(
-            f"the reference frames are of {len(told)} height, expected a plate at {HEIGHTS_MIN} or more: one height "
-            "does not tell the projector's distance"
+            f"the reference frames are of {len(heights_mm)} height, expected a plate at {HEIGHTS_MIN} or more: one "
+            "height does not tell the projector's distance"
         )
     report = progress or (lambda done, total: None)
     total = len(plates) * (1 + ROUNDS)

@@ -122,11 +122,11 @@ def calibrate_pipe(
         moved = np.abs(np.array(head.projector.centre_mm) - np.array(before.centre_mm))
         if turn > ROUNDS // 4 and (moved < STILL * np.sqrt(np.diag(covariance)[-count : -count + 3])).all():
             break
-    told = covariance[-count:, -count:]
+    block = covariance[-count:, -count:]
     return PipeCalibration(
         head.projector,
-        np.sqrt(np.diag(told)),
-        told,
+        np.sqrt(np.diag(block)),
+        block,
         head.poses.mean(axis=0),
         misfit,
         len(shots.images),

@@ -239,8 +239,8 @@ def look_at_cut(  # type: ignore[no-untyped-def]
     images, lens, cameras, heads, projectors, slide, eye, shading, blur_px, normal, radius, z, grey, gain, depth, blur
 ):
     """(J,) rows of a wall in every frame: grey level, gain and depth of the head's light, sigma of the blur on the
-    wall, mm, each written (N, J); NaN where not seen. The head's depth is of what its lens has blurred: here of what it
-    had not."""
+    wall, mm, each written (N, J); NaN where not seen. The head's depth is that of the blurred light; this one is
+    of the light before the lens blurs it."""
     powers = np.empty(TERMS)
     for k in range(len(cameras)):
         for j in range(len(z)):

@@ -228,7 +228,7 @@ def _run(
     view: View, images: Float32Array, points: Points, start: FloatArray, fit: _Fit, residuals: bool = False
 ) -> Heights:
     count = len(points.base)
-    told = [np.full(count, np.nan) for _ in range(7)]
+    values = [np.full(count, np.nan) for _ in range(7)]
     left = np.empty((len(images), count) if residuals else (0, 0), np.float32)
     tolerance = fit.tolerance_mm
     if tolerance is None:
@@ -253,10 +253,10 @@ def _run(
         _rows(points.normal),
         start,
         tolerance,
-        *told,
+        *values,
         left,
     )
-    return _of(told, left)
+    return _of(values, left)
 
 
 def _rows(vectors: FloatArray) -> FloatArray:
@@ -346,11 +346,11 @@ def _continue(
         height = np.where(settled, np.take_along_axis(h, order[None], axis=0)[0], np.nan)
         framed = np.pad(height, 1, constant_values=np.nan)
         around = np.stack([framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]])
-        told = np.isfinite(around)
-        mean = np.where(told, around, 0.0).sum(axis=0) / np.maximum(told.sum(axis=0), 1)
+        known = np.isfinite(around)
+        mean = np.where(known, around, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         far = np.where(np.isfinite(h), np.abs(h - mean), np.inf)
         nearest = np.argmin(far, axis=0)
-        new = left & ~settled & told.any(axis=0) & (np.take_along_axis(far, nearest[None], axis=0)[0] < near)
+        new = left & ~settled & known.any(axis=0) & (np.take_along_axis(far, nearest[None], axis=0)[0] < near)
         if not new.any():
             return order.ravel(), settled.ravel()
         order, settled = np.where(new, nearest, order), settled | new

@@ -31,18 +31,18 @@ def _two(a: Heights, b: Heights) -> Heights:
         weight = wa + wb
         height = (np.where(wa > 0, wa * a.height_mm, 0.0) + np.where(wb > 0, wb * b.height_mm, 0.0)) / weight
         sigma = np.where(apart, np.hypot(weight**-0.5, gap / 2), weight**-0.5)
-    told, first = weight > 0, wa > 0
+    known, first = weight > 0, wa > 0
 
     def of(one: FloatArray, other: FloatArray) -> FloatArray:
         return np.where(first, one, other)
 
     return Heights(
-        np.where(told, height, np.nan),
-        np.where(told, sigma, np.nan),
+        np.where(known, height, np.nan),
+        np.where(known, sigma, np.nan),
         of(a.dc, b.dc),
         of(a.ac, b.ac),
         of(a.misfit, b.misfit),
         a.used * (wa > 0) + b.used * (wb > 0),
-        np.where(told, GOOD, np.minimum(a.flag, b.flag)),
+        np.where(known, GOOD, np.minimum(a.flag, b.flag)),
         np.empty((0, 0), np.float32),
     )

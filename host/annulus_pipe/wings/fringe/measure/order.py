@@ -62,10 +62,10 @@ def _there(view: View, points: Points, h: FloatArray, order: int) -> FloatArray:
     return h
 
 
-def _dc(dc: FloatArray, told: BoolArray, points: Points) -> FloatArray:
+def _dc(dc: FloatArray, known: BoolArray, points: Points) -> FloatArray:
     """(Y, X) logarithm of the DC, NaN where not told."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.log(np.where(told & (dc > 1), dc, np.nan)).reshape(points.shape))
+        return np.asarray(np.log(np.where(known & (dc > 1), dc, np.nan)).reshape(points.shape))
 
 
 def _alike(one: FloatArray, other: FloatArray) -> float:

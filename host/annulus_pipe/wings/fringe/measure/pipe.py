@@ -124,14 +124,14 @@ def measure_pipe(
     pick = np.sort(random.choice(len(points.base), min(SOME, len(points.base)), replace=False))
     head, noise = _placed(head, coefficients, points.some(pick), poses)
     maps = _Maps(coefficients, points, noise, step)
-    found = maps.told(head, np.full(len(points.base), head.radius_mm - radius_mm), None)
+    found = maps.heights(head, np.full(len(points.base), head.radius_mm - radius_mm), None)
     plain, texture = found, maps.texture(found)
     slipped = np.zeros(len(z_mm), bool)
     for again in range(2):
         for _ in range(BLURRED):
             texture = maps.texture(found)
             head = _refocused(head, coefficients, points.some(pick), poses, noise, found.height_mm[pick], texture[pick])
-            found = maps.told(head, np.nan_to_num(found.height_mm), texture)
+            found = maps.heights(head, np.nan_to_num(found.height_mm), texture)
         if again or len(shots.eye) < len(eyes) * len(z_mm):  # a slide in turn sees too little of the wall for a place
             break
         places = maps.places(head, poses, found, texture)
@@ -300,11 +300,11 @@ def followed(
     return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32), who)
 
 
-def _freedom(head: Head, said: FloatArray, wall: float) -> Freedom:
+def _freedom(head: Head, prior: FloatArray, wall: float) -> Freedom:
     sigma = np.array(POSE_SIGMA) * [1, 1, 1, head.radius_mm, head.radius_mm, head.radius_mm]
     return Freedom(
-        said,
-        np.tile(sigma, (len(said), 1)),
+        prior,
+        np.tile(sigma, (len(prior), 1)),
         np.zeros(6),
         np.zeros(LAW),
         wall_mm=wall,
@@ -314,7 +314,7 @@ def _freedom(head: Head, said: FloatArray, wall: float) -> Freedom:
 
 
 def _placed(
-    head: Head, images: Float32Array, points: Points, said: FloatArray
+    head: Head, images: Float32Array, points: Points, prior: FloatArray
 ) -> tuple[Head, tuple[float, float, float]]:
     """The head's poses and shading from some cells, and the noise."""
     base = float(np.hypot(*points.base[0, :2]))
@@ -326,7 +326,7 @@ def _placed(
         found = followed(head, images, points, start, noise)
         if turn > 1:
             wall = _scatter(found, base)
-        head, _ = refined(head, images, points, _freedom(head, said, wall), noise, found)
+        head, _ = refined(head, images, points, _freedom(head, prior, wall), noise, found)
     return head, noise
 
 
@@ -334,7 +334,7 @@ def _refocused(
     head: Head,
     images: Float32Array,
     points: Points,
-    said: FloatArray,
+    prior: FloatArray,
     noise: tuple[float, float, float],
     start: FloatArray,
     texture: FloatArray,
@@ -344,7 +344,7 @@ def _refocused(
     for _ in range(2):
         found = followed(head, images, points, np.nan_to_num(start), noise, texture)
         head, _ = refined(
-            head, images, points, _freedom(head, said, _scatter(found, base)), noise, found, np.nan_to_num(texture)
+            head, images, points, _freedom(head, prior, _scatter(found, base)), noise, found, np.nan_to_num(texture)
         )
     return head
 
@@ -365,12 +365,12 @@ class _Maps:
     noise: tuple[float, float, float]
     step_mm: float
 
-    def told(self, head: Head, start: FloatArray, texture: FloatArray | None) -> Heights:
+    def heights(self, head: Head, start: FloatArray, texture: FloatArray | None) -> Heights:
         return followed(head, self.images, self.points, start, self.noise, texture)
 
-    def places(self, head: Head, said: FloatArray, found: Heights, texture: FloatArray) -> Places:
+    def places(self, head: Head, prior: FloatArray, found: Heights, texture: FloatArray) -> Places:
         base = float(np.hypot(*self.points.base[0, :2]))
-        freedom = _freedom(head, said, _scatter(found, base))
+        freedom = _freedom(head, prior, _scatter(found, base))
 
         def follow(other: Head, some: Points, height: FloatArray, slope: FloatArray) -> Heights:
             return followed(other, self.images, some, np.nan_to_num(height), self.noise, slope)
@@ -405,9 +405,9 @@ def _scattered(
         beyond = [0.0]
         for apart, rows in ((across, ROWS), (along, LONG_ROWS)):
             near = slice(max(j - rows, 0), j + rows + 1)
-            told = apart[near][np.isfinite(apart[near])]
-            if len(told) >= ROW_LEAST:
-                beyond.append(robust_sigma(told) ** 2 - float(np.nanmedian(own[near])))
+            spread = apart[near][np.isfinite(apart[near])]
+            if len(spread) >= ROW_LEAST:
+                beyond.append(robust_sigma(spread) ** 2 - float(np.nanmedian(own[near])))
         variance[j] += max(beyond)
     few = ~sloped.reshape(shape)
     changed = (found.height_mm - plain_mm).reshape(shape)
@@ -424,7 +424,7 @@ def _scattered(
 def _decided(
     head: Head, images: Float32Array, points: Points, found: Heights, noise: tuple[float, float, float]
 ) -> Heights:
-    """Surfaces whose order of fringe is not decided are ambiguous: each joined one by its cells' other orders."""
+    """A connected surface whose order of fringe its cells do not decide, against their other orders, is ambiguous."""
     shape = points.shape
     good = found.flag == GOOD
     h = np.where(good, found.height_mm, np.nan)
@@ -450,9 +450,9 @@ def _decided(
             worse = np.where(another, other.misfit - plain.misfit, np.inf)
         spoken = np.bincount(which, weights=worse > PARALLAX, minlength=count + 1)
         against = np.bincount(which, weights=worse < -PARALLAX, minlength=count + 1)
-        told = spoken > 0
-        told[largest] = True  # what the stated radius says of the wall itself, until cells speak against it
-        sure &= told & (against <= CONTRADICTED * spoken)
+        tested = spoken > 0
+        tested[largest] = True  # what the stated radius says of the wall itself, until cells speak against it
+        sure &= tested & (against <= CONTRADICTED * spoken)
     sure[0] = False
     unsure = good & ~sure[surface.ravel()] & (surface.ravel() > 0)
     return replace(

@@ -171,12 +171,12 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What is believed before the frames are asked, and its standard deviations; 0: known. said, poses : (N, 6) poses
+    """What is believed before the frames are asked, and its standard deviations; 0: known. prior, poses : (N, 6) poses
     and theirs, each frame's own; together : (6,) of what all frames may be off alike. law : (LAW,) of the projector;
     harmonics : how many pairs are sought. wall_mm : how far heights scatter about the radius; drift : of a point's
     light along half its track; radius_mm : of the radius."""
 
-    said: FloatArray
+    prior: FloatArray
     poses: FloatArray
     together: FloatArray
     law: FloatArray
@@ -376,8 +376,8 @@ def _equations(
     root[bad] = 0.0
     for part in (rest, poses, common, columns):
         part[bad] = 0.0
-    told = head.radius_mm - np.hypot(x[:, 0], x[:, 1]) if free else None
-    return _normal(rest, poses, common, columns, root, told, freedom, head)
+    off = head.radius_mm - np.hypot(x[:, 0], x[:, 1]) if free else None
+    return _normal(rest, poses, common, columns, root, off, freedom, head)
 
 
 def _moves(head: Head, x: FloatArray) -> FloatArray:
@@ -409,7 +409,7 @@ def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[Float
         least = np.maximum(own, 1e-6 * max(alike, float(own.max())))
         block = np.linalg.inv(np.diag(least**2) + alike**2)
         weights[np.ix_(rows, rows)] = block
-        pull[rows] = block @ (freedom.said[:, i] - head.poses[:, i])
+        pull[rows] = block @ (freedom.prior[:, i] - head.poses[:, i])
     sigma = np.concatenate(
         [
             np.full(head.shading[:, 1:].size, SHADING_SIGMA),
@@ -435,23 +435,23 @@ def _normal(
     common: FloatArray,
     columns: FloatArray,
     root: FloatArray,
-    told: FloatArray | None,
+    off: FloatArray | None,
     freedom: Freedom,
     head: Head,
 ) -> tuple[FloatArray, FloatArray]:
     """Normal equations of poses and common numbers, what is a point's own projected out."""
     frames, count = rest.shape
     width = columns.shape[2]
-    extra = 2 if told is not None else 0  # rows: a height is the radius; a light does not drift
-    share = np.zeros(count) if told is None else np.sqrt(cauchy(told / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
+    extra = 2 if off is not None else 0  # rows: a height is the radius; a light does not drift
+    share = np.zeros(count) if off is None else np.sqrt(cauchy(off / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
     for turn in range(3):
         own = np.zeros((count, frames + extra, width))
         own[:, :frames] = (columns * root[..., None]).transpose(1, 0, 2)
         r = np.zeros((count, frames + extra))
         r[:, :frames] = (rest * root).T
-        if told is not None:
+        if off is not None:
             own[:, frames, 2] = share
-            r[:, frames] = told * share
+            r[:, frames] = off * share
             if width > 3:
                 own[:, frames + 1, 3] = 1 / freedom.drift
         q = np.linalg.qr(own)[0]
@@ -460,7 +460,7 @@ def _normal(
             root = root * np.sqrt(cauchy(left[:, :frames].T / CAUCHY))
     everyone = np.zeros((count, frames + extra, common.shape[2]))
     everyone[:, :frames] = (common * root[..., None]).transpose(1, 0, 2)
-    if told is not None:
+    if off is not None:
         everyone[:, frames, head.shading[:, 1:].size + 1] = -share
     d = poses * root[..., None]  # (N, P, POSE)
     light, size = head.shading[:, 1:].size, head.poses.size

@@ -74,12 +74,12 @@ def find_places(
         head, covariance = refined(head, images, some, freedom, noise, here, np.nan_to_num(slope), along)
         sigma = np.sqrt(np.diag(covariance)[5 : 6 * flashes : 6])
         h = np.where(here.flag == GOOD, here.height_mm, h)
-    off = head.poses[:, 5] - freedom.said[:, 5]
+    off = head.poses[:, 5] - freedom.prior[:, 5]
     off = off - np.median(off[: (flashes + 1) // 2])  # the first half is where it was told: windows share it
-    told = sigma < 0.5 * believed  # else it is what was believed before
+    sure = sigma < 0.5 * believed  # else it is what was believed before
     sigma = np.hypot(sigma, OWN_SIGMA * head.radius_mm)
-    beyond = told & (np.abs(off) > np.maximum(SAID * sigma, LEAST * head.radius_mm))
-    return Places(np.where(told, off, 0.0), np.where(told, sigma, np.inf), beyond)
+    beyond = sure & (np.abs(off) > np.maximum(SAID * sigma, LEAST * head.radius_mm))
+    return Places(np.where(sure, off, 0.0), np.where(sure, sigma, np.inf), beyond)
 
 
 def _slopes(

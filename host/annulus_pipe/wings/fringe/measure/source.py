@@ -51,9 +51,9 @@ def iterated(
     """(P,) heights, the steps found again from each height until both agree, the order kept by the last one."""
     h = direct(frames, moved, reference, rate, baseline, distance)
     for _ in range(ROUNDS_MAX):
-        told = rate * baseline * h / (distance * (distance - h))
+        predicted = rate * baseline * h / (distance * (distance - h))
         phase = least_squares(frames, rate * moved[:, None] / (distance - h))[0] - reference
-        phase = told + _wrapped(phase - told)
+        phase = predicted + _wrapped(phase - predicted)
         new = height(phase, rate, baseline, distance)
         if not (np.abs(new - h) > STILL * distance).any():
             return new

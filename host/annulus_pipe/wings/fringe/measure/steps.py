@@ -76,19 +76,19 @@ def find_steps(
 
     odometer_sigma_mm : how far a position may be off. AnnulusError where no point is seen well enough in all frames.
     """
-    said = odometer_mm - odometer_mm[0]
+    reported = odometer_mm - odometer_mm[0]
     every = np.unique(np.linspace(0, len(points.base) - 1, min(len(points.base), POINTS_MAX)).astype(int))
     some = points.some(every)
     samples = np.asarray(images)[:, every] if images.shape[2] == 1 else images
     h: FloatArray | float = start_mm if np.ndim(start_mm) == 0 else np.asarray(start_mm)[every]
-    trust = np.full(len(said), odometer_sigma_mm**-2.0)
+    trust = np.full(len(reported), odometer_sigma_mm**-2.0)
     trust[0] = 1e12
     prior = np.diag(trust)
     if drift_sigma > 0:  # a stretched motion looks like light that drifts along the track: the stretch stays as told
-        prior += STIFF * trust[1] * np.outer(said, said) / float(said @ said)
-    place, noise = said.copy(), (1.0, 0.0, 0.0)
-    covariance = np.zeros((len(said), len(said)))
-    ahead = EPSILON * float(np.ptp(said)) / (len(said) - 1)
+        prior += STIFF * trust[1] * np.outer(reported, reported) / float(reported @ reported)
+    place, noise = reported.copy(), (1.0, 0.0, 0.0)
+    covariance = np.zeros((len(reported), len(reported)))
+    ahead = EPSILON * float(np.ptp(reported)) / (len(reported) - 1)
     for turn in range(ROUNDS):
         view = View.of(one, projector, place[:, None] * direction)
         found = heights(view, samples, some, h, noise=noise, drift_sigma=drift_sigma)
@@ -98,19 +98,19 @@ def find_steps(
         beyond = View.of(one, projector, (place + ahead)[:, None] * direction)
         matrix, pull = _equations(view, beyond, ahead, samples, some, found, noise, drift_sigma > 0)
         covariance = np.asarray(np.linalg.inv(matrix + prior))
-        step = covariance @ (pull + prior @ (said - place))
+        step = covariance @ (pull + prior @ (reported - place))
         place = place + step
         if (np.abs(step) < STILL_SIGMA * np.sqrt(np.diag(covariance))).all():
             break
     place = place - place[0]
     sigma = np.sqrt(np.diag(covariance))
     both = np.hypot(sigma, odometer_sigma_mm)
-    scale, weight = 1.0, np.ones(len(said))
+    scale, weight = 1.0, np.ones(len(reported))
     for _ in range(ROUNDS):  # a slip must not pass for a scale
-        below = float((weight * (said / both) ** 2).sum())
-        scale = float((weight * said * place / both**2).sum()) / below
-        weight = cauchy((place - scale * said) / (CAUCHY * both))
-    slipped = np.abs(place - scale * said) > SAID * both
+        below = float((weight * (reported / both) ** 2).sum())
+        scale = float((weight * reported * place / both**2).sum()) / below
+        weight = cauchy((place - scale * reported) / (CAUCHY * both))
+    slipped = np.abs(place - scale * reported) > SAID * both
     if drift_sigma > 0:
         place = place / scale
         view = View.of(one, projector, place[:, None] * direction)
@@ -118,9 +118,9 @@ def find_steps(
         if abs(scale - 1) > SAID * own:
             place, sigma = place * scale, np.hypot(sigma, place * own)
         else:  # as long as the odometer says, and no better known than that
-            sigma = np.hypot(sigma, place * odometer_sigma_mm / np.linalg.norm(said))
-        return Steps(place, sigma, said, scale, own, slipped)
-    return Steps(place, sigma, said, scale, below**-0.5, slipped)
+            sigma = np.hypot(sigma, place * odometer_sigma_mm / np.linalg.norm(reported))
+        return Steps(place, sigma, reported, scale, own, slipped)
+    return Steps(place, sigma, reported, scale, below**-0.5, slipped)
 
 
 def _equations(

@@ -79,8 +79,8 @@ def stereo_heights(
     views = (View.of(pair[0], projector, moved_mm), View.of(pair[1], projector, moved_mm))
     rough = rough_heights(pair, projector, moved_mm, images, points, bounds_mm)
     blocks = [np.arange(k, min(k + BLOCK, len(rough))) for k in range(0, len(rough), BLOCK)]
-    told = [_agreed(views, images, points.some(some), rough[some], noise, drift_sigma) for some in blocks]
-    h, sigma, dc, ac, misfit, used, flag = (np.concatenate(one) for one in zip(*told, strict=True))
+    agreed = [_agreed(views, images, points.some(some), rough[some], noise, drift_sigma) for some in blocks]
+    h, sigma, dc, ac, misfit, used, flag = (np.concatenate(one) for one in zip(*agreed, strict=True))
     return Heights(h, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
 
 
@@ -154,8 +154,8 @@ def _agreed(
     flag = np.where(weak, UNMODULATED, np.where(settled, flag, AMBIGUOUS))
     flag = np.where(np.minimum(a.used, b.used) < 3, TOO_FEW, flag)
     flag = np.where(np.isfinite(rough), flag, AMBIGUOUS).astype(float)
-    told = (flag == GOOD) & np.isfinite(sigma)
-    height, sigma = np.where(told, h, np.nan), np.where(told, sigma, np.nan)
+    known = (flag == GOOD) & np.isfinite(sigma)
+    height, sigma = np.where(known, h, np.nan), np.where(known, sigma, np.nan)
     return height, sigma, a.dc, a.ac, a.misfit + b.misfit, a.used + b.used, flag
 
 

@@ -41,10 +41,10 @@ def stretch(
     """
     nothing = 1.0, np.inf
     middle = len(place_mm) // 2
-    told = np.isfinite(height_mm)
-    if images.shape[2] == 1 or not told.any():
+    known = np.isfinite(height_mm)
+    if images.shape[2] == 1 or not known.any():
         return nothing
-    x = points.at(np.where(told, height_mm, 0.0))[told]
+    x = points.at(np.where(known, height_mm, 0.0))[known]
     u, v = view.pixels(x, middle)
     u1, v1 = view.pixels(x - direction, middle)  # the head one mm on: the wall one mm back
     rates = np.stack([u1 - u, v1 - v], axis=1)

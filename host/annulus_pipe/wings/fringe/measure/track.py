@@ -130,16 +130,16 @@ def light_row(slide, projector, eye, x, y, z, count, scale, phase):  # type: ign
             qx = r00 * x[i] + r01 * y[i] + r02 * z[i] + tx
             qy = r10 * x[i] + r11 * y[i] + r12 * z[i] + ty
             qz = r20 * x[i] + r21 * y[i] + r22 * z[i] + tz
-            told, slope = stripes(a, b, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
-            phase[i] = told
+            radians, slope = stripes(a, b, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
+            phase[i] = radians
             scale[i] *= slope
         return
     for i in range(count):
         qx = r00 * x[i] + r01 * y[i] + r02 * z[i] + tx
         qy = r10 * x[i] + r11 * y[i] + r12 * z[i] + ty
         qz = r20 * x[i] + r21 * y[i] + r22 * z[i] + tz
-        told, slope = rings(a, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
-        phase[i] = told
+        radians, slope = rings(a, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
+        phase[i] = radians
         scale[i] *= slope
 
 
@@ -358,7 +358,7 @@ def follow(  # type: ignore[no-untyped-def]
                             bt += w * r3 * off
                     free = max(n - 3, 1) if drifting else n - 3
                     scale[i] = total / free if free > 0 and total > free + EXCESS * math.sqrt(2.0 * free) else 1.0
-                    told, least0, least1, least2 = m11, PIVOT_MIN * m00, PIVOT_MIN * m11, PIVOT_MIN * m22
+                    pivot, least0, least1, least2 = m11, PIVOT_MIN * m00, PIVOT_MIN * m11, PIVOT_MIN * m22
                     if drifting:  # the light's drift is eliminated first: what is believed of it keeps its pivot
                         q = 1.0 / t3
                         m00, m10, m11 = m00 - t0 * t0 * q, m10 - t1 * t0 * q, m11 - t1 * t1 * q
@@ -376,7 +376,7 @@ def follow(  # type: ignore[no-untyped-def]
                         h[i] += min(max(step, -most), most)
                         misfit[p] = cost
                         if abs(step) < tolerance:
-                            modulated = swing[i] > 0.0 and swing[i] * swing[i] * told > MODULATED * MODULATED
+                            modulated = swing[i] > 0.0 and swing[i] * swing[i] * pivot > MODULATED * MODULATED
                             state = GOOD if modulated else UNMODULATED
                 if state == UNSETTLED and turn + 1 < ROUNDS_MAX:  # on to the next round, closed up
                     which[left], h[left], level[left] = p, h[i], level[i]
@@ -391,8 +391,8 @@ def follow(  # type: ignore[no-untyped-def]
                     for k in range(frames):
                         residual[k, p] = math.nan
                         if state == GOOD and math.isfinite(value[k, i]):
-                            told = (level[i] + swing[i] * crest[k, i]) * (1.0 + tilt[i] * drift[k])
-                            residual[k, p] = value[k, i] - told
+                            predicted = (level[i] + swing[i] * crest[k, i]) * (1.0 + tilt[i] * drift[k])
+                            residual[k, p] = value[k, i] - predicted
             live = left
             if live == 0:
                 break

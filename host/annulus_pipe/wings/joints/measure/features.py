@@ -53,9 +53,9 @@ def summary(joint: JointImage) -> dict[str, Any]:
 
     def span(values: FloatArray) -> dict[str, float | None]:
         good = values[np.isfinite(values)]
-        told = (np.median(good), good.min(), good.max()) if len(good) else (None,) * 3
+        spread = (np.median(good), good.min(), good.max()) if len(good) else (None,) * 3
         names = ("median", "least", "greatest")
-        return {name: None if v is None else round(float(v), 4) for name, v in zip(names, told, strict=True)}
+        return {name: None if v is None else round(float(v), 4) for name, v in zip(names, spread, strict=True)}
 
     phi, axis = joint.phi, joint.found.axis
     outer = np.asarray(joint.outer_sides.at_mm.mean(axis=0))

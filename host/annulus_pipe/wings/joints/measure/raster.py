@@ -353,7 +353,7 @@ def _believed(maps: FloatArray, values: FloatArray, lift: FloatArray, rng: np.ra
     turns = np.exp(1j * rng.uniform(0, 2 * math.pi, (SURROGATES, n // 2 + 1)))
     turns[:, 0] = 1
     part, chance = np.zeros((2, n)), np.zeros((2, SURROGATES, n))
-    told = varied = 0.0
+    explained = varied = 0.0
     flip = -np.arange(n) % n
     for data, over in zip(values, lift, strict=True):
         columns = np.stack([ring[0], ring[1], ring[0] * over]).reshape(3, -1)
@@ -361,7 +361,7 @@ def _believed(maps: FloatArray, values: FloatArray, lift: FloatArray, rng: np.ra
         alike = (gains @ columns).reshape(data.shape)
         varies = data - alike
         noise = _noise(data) ** 2
-        told += (np.mean(varies**2) - _all_round(maps, data, over)[0]) / noise
+        explained += (np.mean(varies**2) - _all_round(maps, data, over)[0]) / noise
         varied += np.mean(varies**2) / noise - 1
         drawn = np.fft.irfft(np.fft.rfft(varies)[None] * turns[:, None], n)
         for i, order in enumerate((np.arange(n), flip)):
@@ -370,7 +370,7 @@ def _believed(maps: FloatArray, values: FloatArray, lift: FloatArray, rng: np.ra
                 out += np.log(_all_round(maps, (one + alike)[..., order], over[order]) / total) / len(values)
     seen, by_chance = part.min(), chance.min(axis=(0, 2))
     p = (1 + int((by_chance <= seen).sum())) / (1 + SURROGATES)
-    return float(np.clip(told / max(varied, 1e-12), 0.0, 1.0)), min(1.0, 2 * p)
+    return float(np.clip(explained / max(varied, 1e-12), 0.0, 1.0)), min(1.0, 2 * p)
 
 
 def _noise(values: FloatArray) -> float:

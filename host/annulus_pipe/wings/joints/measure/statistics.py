@@ -121,10 +121,10 @@ def moving_mean(phi_deg: FloatArray, values: FloatArray, width_deg: float) -> Fl
     phi_deg, values : (P,), rising angles; NaN where not told, over which it is drawn straight. Raises AnnulusError if
     too little is told, or if nothing varies.
     """
-    told = np.isfinite(values)
-    if told.mean() < TOLD_MIN:
-        raise AnnulusError(f"told at {100 * told.mean():.0f} % of the angles, expected {100 * TOLD_MIN:.0f}")
-    even = np.interp(np.arange(GRID), phi_deg[told], values[told], period=360)
+    known = np.isfinite(values)
+    if known.mean() < TOLD_MIN:
+        raise AnnulusError(f"told at {100 * known.mean():.0f} % of the angles, expected {100 * TOLD_MIN:.0f}")
+    even = np.interp(np.arange(GRID), phi_deg[known], values[known], period=360)
     wave = np.fft.rfft(even) * np.sinc(np.arange(GRID // 2 + 1) * width_deg / 360)
     smooth: FloatArray = np.fft.irfft(wave, GRID)
     if np.ptp(smooth) <= CONSTANT * np.abs(smooth).max():
@@ -202,10 +202,10 @@ def power(
     energy = _standard(r / size * true + math.sqrt(1 - r * r) * rng.standard_normal(true.shape))
     found = np.abs(np.einsum("msn,mn->ms", _standard(seen), energy)).max(axis=1)
     by_chance = np.array([np.abs(chance @ one).max(axis=1) for one in energy])
-    told = (1 + (by_chance >= found[:, None]).sum(axis=1)) / (1 + by_chance.shape[1]) <= LEVEL
+    significant = (1 + (by_chance >= found[:, None]).sum(axis=1)) / (1 + by_chance.shape[1]) <= LEVEL
     turned = _rotated(drawn, angle_deg, energy, search)
-    return float(told.mean()), float(
-        np.mean([t and _share(own, own[0]) <= LEVEL for t, own in zip(told, turned, strict=True)])
+    return float(significant.mean()), float(
+        np.mean([t and _share(own, own[0]) <= LEVEL for t, own in zip(significant, turned, strict=True)])
     )
 
 

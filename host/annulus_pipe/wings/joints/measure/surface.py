@@ -20,9 +20,9 @@ from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median
 from annulus_pipe.vocabulary import AnnulusError
 
 FOOT = 0.25  # of the crest: below it a flank is blurred into the wall
-SMOOTH_MM = 1.0  # along the circumference: standard deviation of what beads are smoothed with
-STEP_BLUR = 0.7  # of a voxel along z: standard deviation of what a step in a surface is seen with
-SLOPE_ORDERS = 3  # of the angle, that a side's slope along z has
+SMOOTH_MM = 1.0  # along the circumference: standard deviation of the filter that smooths beads
+STEP_BLUR = 0.7  # voxels along z: standard deviation of the blur that a step in a surface is seen with
+SLOPE_ORDERS = 3  # Fourier orders of the angle in a side's slope along z
 # Two planes from a notch's floor its rolls stand so many times as high as one plane from it, or more, where the floor
 # is as wide as a voxel; less where the rolls meet in a cusp. Half ellipses and blurs of 0.4 to 0.8 voxels: 3.0 to 10,
 # and 1.7 to 2.7.

@@ -114,11 +114,11 @@ class AcousticRig:
         """Serve port and scope until `over`: the world keeps up with the clock, or is slowed down."""
         arrivals = 0
         for _ in rounds(self.board, self._serial, (self._lan,), self.advance, over):
-            told = self._lan.read()
+            data = self._lan.read()
             if self._lan.arrivals != arrivals:
                 arrivals = self._lan.arrivals
                 self.scope.connect()
-            if answer := self.scope.receive(told):
+            if answer := self.scope.receive(data):
                 self._send(answer)
             if self._unplugged:
                 self._lan.close()
