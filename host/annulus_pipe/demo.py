@@ -24,8 +24,8 @@ from annulus_pipe.daemon.pools import default_workers
 from annulus_pipe.daemon.run import ending
 from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
-from annulus_pipe.numeric.compiling import telling
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
+from annulus_pipe.numeric.telling import telling
 from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.record.origin import origin_of
 from annulus_pipe.report import FILES, Account, prepare_folder, write

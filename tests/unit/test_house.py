@@ -7,6 +7,7 @@ import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 import tiers
 
@@ -109,11 +110,26 @@ def test_nothing_of_the_package_looks_for_a_file_by_a_parents_folder() -> None:
     assert not looking
 
 
-def test_no_circle_between_the_generators_files() -> None:
-    """The firmware's are looked at where they are linked (tests/unit/firmware), the host's by import-linter."""
-    text = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "protocol/generator").glob("*.py")}
-    uses = {stem: set(re.findall(r"import (\w+)", code)) & text.keys() - {stem} for stem, code in text.items()}
-    assert len(list(TopologicalSorter(uses).static_order())) == len(text) > 0  # CycleError names the circle
+def test_no_file_of_the_package_needs_one_that_needs_it() -> None:
+    """Within rooms too, of which import-linter says nothing; inside functions and for types only as well. The files of
+    the firmware are looked at where they are linked (tests/unit/firmware)."""
+    graph = grimp.build_graph("annulus_pipe", cache_dir=None)
+    needs = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    assert sum(map(len, needs.values())) > 1000
+    TopologicalSorter(needs).prepare()  # CycleError names the circle
+
+
+@pytest.mark.parametrize(
+    "files", ["protocol/generator/*.py", "tools/emulator/*.mjs", "host/annulus_pipe/console/static/*.js"]
+)
+def test_no_circle_between_the_files_of_a_folder(files: str) -> None:
+    text = {path.stem: path.read_text(encoding="utf-8") for path in ROOT.glob(files)}
+    needs = {
+        stem: set(re.findall(r"""from (?:generator\.|["']\./)(\w+)""", code)) & text.keys()
+        for stem, code in text.items()
+    }
+    assert any(needs.values())
+    TopologicalSorter(needs).prepare()  # CycleError names the circle
 
 
 def test_scenes_that_only_the_authors_have_are_named_where_a_test_is_skipped() -> None:

@@ -21,7 +21,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from annulus_pipe.capture.camera import BGR8, MOSAICS, OneRequest, Request
+from annulus_pipe.capture.camera import BGR8, MOSAICS, Camera, OneRequest, Request
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -211,6 +211,17 @@ class _Taken:
 
     def release(self) -> None:
         self._request.release()
+
+
+def plug(camera: object) -> Camera:
+    """Make a Camera of what the user has: one of ours as it is, a configured Picamera2 object in an adapter."""
+    if isinstance(camera, Camera):
+        return camera
+    if hasattr(camera, "camera_configuration") and hasattr(camera, "capture_request"):
+        return PicameraCamera(camera)
+    raise AnnulusError(
+        f"camera: {type(camera).__name__} has not Picamera2's methods, expected start .. capture_request"
+    )
 
 
 def configure(

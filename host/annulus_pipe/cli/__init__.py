@@ -23,7 +23,7 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
-from annulus_pipe.numeric.compiling import telling
+from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore import commands as bore

@@ -8,28 +8,54 @@ whoever asked and whatever became of them: a head does not stay armed because a 
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from annulus_pipe.daemon.about import about
 from annulus_pipe.daemon.command import Command
 from annulus_pipe.daemon.config import HeadConfig, LampConfig
-from annulus_pipe.daemon.controller_line import check_lamps, lamp_numbers, preamble_for, stage_of, with_lamps
-from annulus_pipe.daemon.observer import Commanded, Mark
+from annulus_pipe.daemon.controller_line import (
+    ControllerLine,
+    check_lamps,
+    lamp_numbers,
+    preamble_for,
+    stage_of,
+    with_lamps,
+)
+from annulus_pipe.daemon.observer import Commanded, Mark, Observers
 from annulus_pipe.daemon.request import COMMANDED, Do, Request
+from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.vocabulary import AnnulusError
-
-if TYPE_CHECKING:
-    from annulus_pipe.daemon.session import Session
 
 PHOTO_S = 1.0  # from one photo to the next at least
 WRITTEN_MAX = 20  # requests written down in one second; test_operating_audit: a flood fills neither recording nor log
 ASKS = frozenset({Do.STATE, Do.ABOUT, Do.HOLD})  # change nothing, or only go on
 
 
+class Operated(Protocol):
+    """Of a session what operators can see and change."""
+
+    config: HeadConfig
+    observers: Observers
+    navigation: Navigation
+    newest_led: int | None
+
+    @property
+    def line(self) -> ControllerLine | None: ...
+    @property
+    def has_scan(self) -> bool: ...
+    @property
+    def scan(self) -> int | None: ...
+    def require_scan(self) -> None: ...
+    def start(self, record: bool = True) -> None: ...
+    def pause(self) -> None: ...
+    def resume(self) -> None: ...
+    def stop(self) -> None: ...
+
+
 class Operating:
     """Of one session, whose thread calls everything here."""
 
-    def __init__(self, session: "Session") -> None:
+    def __init__(self, session: Operated) -> None:
         self._session = session
         self._command = Command()
         self._trial_until_s: float | None = None  # monotonic

@@ -25,6 +25,7 @@ from annulus_pipe.calibrate.both import placement_from_dict
 from annulus_pipe.daemon.config import load_config
 from annulus_pipe.daemon.control import REQUEST_MAX, Request
 from annulus_pipe.link import codec, messages
+from annulus_pipe.link.fields import Message
 from annulus_pipe.link.head import HeadControl
 from annulus_pipe.link.stage import stage_from_us
 from annulus_pipe.record.calibration_file import load_calibration, load_camera, load_part
@@ -63,7 +64,7 @@ class Target:
 # ---- the line: any bytes, and whole frames with any content, as answers to what the host asks ----
 
 
-def _framed(message: type[messages.Message], head: bytes, payload: bytes) -> bytes:
+def _framed(message: type[Message], head: bytes, payload: bytes) -> bytes:
     body = bytes((message.ID,)) + head + payload
     return codec._stuff(body + codec.crc16(body, message.SCHEMA_BYTE).to_bytes(2, "little")) + b"\0"
 
