@@ -30,44 +30,22 @@ FROM_VOCABULARY = ("EdgeFlag", "Lamp")
 
 PYTHON_HEAD = '''"""Every message of the wire, as it crosses it. {generated}
 
-Payloads only: identity, sequence, CRC and framing are codec.py's. `pack` raises AnnulusError for a value that does not
-fit its field; `unpack` raises ValueError for a payload of the wrong length or an enumeration value nobody defined.
+Tables of fields: fields.py makes payloads of them and reads them; identity, sequence, CRC and framing are codec.py's.
 Ranges are the controller's to enforce (status OUT_OF_RANGE, `detail` = index into FIELDS).
 """
 
-import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, Self
+from typing import ClassVar
 
-from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.link.fields import Message, wire
+from annulus_pipe.vocabulary import EdgeFlag, Lamp
 
 SCHEMA_HASH = 0x{schema_hash:08X}
 REPLY_BIT = 0x{reply_bit:02X}
 '''
 
 PYTHON_BASE = '''
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """What every message has. ID and SCHEMA_BYTE enter the frame; LENGTH is the payload's, bytes; SINCE the level."""
-
-    ID: ClassVar[int]
-    SINCE: ClassVar[int] = 1
-    SCHEMA_BYTE: ClassVar[int]
-    LAYOUT: ClassVar[struct.Struct]
-    LENGTH: ClassVar[int]
-    FIELDS: ClassVar[tuple[str, ...]]
-
-    def pack(self) -> bytes:
-        """The payload, LENGTH bytes."""
-        raise NotImplementedError
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Self:
-        """The message in a payload of exactly LENGTH bytes."""
-        raise NotImplementedError
-
 
 @dataclass(frozen=True, slots=True)
 class Reply(Message):
@@ -82,7 +60,7 @@ class Command(Message):
     """Host to controller. QUERY: changes nothing, so a repeat is carried out anew."""
 
     REPLY: ClassVar[type[Reply]]
-    QUERY: ClassVar[bool]
+    QUERY: ClassVar[bool] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,25 +71,6 @@ class Event(Message):
 @dataclass(frozen=True, slots=True)
 class Notice(Message):
     """Controller to host, without sequence; may be lost without harm."""
-
-
-def _pack(name: str, layout: struct.Struct, *values: int | bytes) -> bytes:
-    try:
-        return layout.pack(*values)
-    except struct.error as error:
-        raise AnnulusError(f"{name}: a value does not fit its field on the wire: {error}") from None
-
-
-def _fits(name: str, value: bytes, size: int) -> bytes:
-    if len(value) > size:
-        raise AnnulusError(f"{name}: {len(value)} bytes where {size} fit")
-    return value
-
-
-def _values(layout: struct.Struct, payload: bytes) -> tuple[int, ...]:
-    if len(payload) != layout.size:
-        raise ValueError(f"payload of {len(payload)} bytes where {layout.size} were expected")
-    return layout.unpack(payload)
 '''
 
 
@@ -148,62 +107,23 @@ def python_type(field: Field) -> str:
 
 
 def python_class(message: Message) -> list[str]:
-    out = ["", "", "@dataclass(frozen=True, slots=True)", f"class {message.camel}({message.kind.capitalize()}):"]
-    code = "<" + "".join(field.code for field in message.fields)
+    codes = " ".join(field.code for field in message.fields)
+    since = f", since={message.since}" if message.since > 1 else ""
+    out = ["", "", f'@wire("{message.name}", 0x{message.id:02X}, 0x{message.schema:02X}, "{codes}"{since})']
+    out.append(f"class {message.camel}({message.kind.capitalize()}):")
     doc_lines = wrap(message.doc, 116)
     if len(doc_lines) == 1 and len(doc_lines[0]) <= 110:
         out.append(f'    """{doc_lines[0]}"""')
     else:
         out += [f'    """{doc_lines[0]}', *(f"    {line}" for line in doc_lines[1:]), '    """']
-    names = ", ".join(f'"{field.name}"' for field in message.fields) + ("," if len(message.fields) == 1 else "")
-    out += [
-        "",
-        f"    ID: ClassVar[int] = 0x{message.id:02X}",
-        f"    SCHEMA_BYTE: ClassVar[int] = 0x{message.schema:02X}",
-    ]
-    out += [f"    SINCE: ClassVar[int] = {message.since}"] if message.since > 1 else []
-    out += [
-        f'    LAYOUT: ClassVar[struct.Struct] = struct.Struct("{code}")',
-        f"    LENGTH: ClassVar[int] = {message.length}",
-    ]
-    if len(names) > 60:
-        out.append("    FIELDS: ClassVar[tuple[str, ...]] = (")
-        out += [f'        "{field.name}",' for field in message.fields] + ["    )"]
-    else:
-        out.append(f"    FIELDS: ClassVar[tuple[str, ...]] = ({names})")
     if message.kind == "command":
-        out.append(f"    REPLY: ClassVar[type[Reply]] = {message.camel}Reply")
-        out.append(f"    QUERY: ClassVar[bool] = {message.query}")
+        out += ["", f"    REPLY = {message.camel}Reply"] + (["    QUERY = True"] if message.query else [])
     own = message.fields[2:] if message.kind == "reply" else message.fields
     out += [""] if own else []
     for field in own:
         note = "; ".join(text for text in (field.unit, field.doc) if text)
         out.append(f"    {field.name}: {python_type(field)}" + (f"  # {note}" if note else ""))
-    packed = []
-    for field in message.fields:
-        if field.type.startswith("bytes"):
-            packed.append(f'_fits("{message.name}.{field.name}", self.{field.name}, {field.size})')
-        else:
-            packed.append(f"self.{field.name}")
-    out += ["", "    def pack(self) -> bytes:"]
-    one_line = f"        return _pack({', '.join([f'{chr(34)}{message.name}{chr(34)}', 'self.LAYOUT', *packed])})"
-    if len(one_line) <= 120:
-        out.append(one_line)
-    else:
-        out += ["        return _pack(", f'            "{message.name}",', "            self.LAYOUT,"]
-        out += [f"            {item}," for item in packed] + ["        )"]
-    out += ["", "    @classmethod", "    def unpack(cls, payload: bytes) -> Self:"]
-    if not message.fields:
-        return [*out, "        _values(cls.LAYOUT, payload)", "        return cls()"]
-    out.append("        v = _values(cls.LAYOUT, payload)")
-    made = [
-        f"{python_type(f)}(v[{i}])" if f.enum or f.flags or f.type.startswith("bytes") else f"v[{i}]"
-        for i, f in enumerate(message.fields)
-    ]
-    one_line = f"        return cls({', '.join(made)})"
-    if len(one_line) <= 120:
-        return [*out, one_line]
-    return [*out, "        return cls(", *(f"            {item}," for item in made), "        )"]
+    return out
 
 
 def wrap(text: str, width: int) -> list[str]:

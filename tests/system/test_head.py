@@ -14,7 +14,8 @@ import zmq
 from leftovers import left_in_shm
 
 from annulus_pipe import untrusted
-from annulus_pipe.capture.camera import Camera, CapturedFrame, grab, plug
+from annulus_pipe.capture.camera import Camera, CapturedFrame, grab
+from annulus_pipe.capture.picamera import plug
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.link.client import Client

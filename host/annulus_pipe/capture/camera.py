@@ -1,6 +1,6 @@
 """Cameras behind one door, with Picamera2's method names, so that a real Picamera2 object plugs in unchanged.
 
-    camera = plug(Picamera2())        # or V4L2Camera("/dev/video0"), RemoteCamera(address), ScanFolderCamera(path)
+    camera = plug(Picamera2())             # capture.picamera; or V4L2Camera("/dev/video0"), RemoteCamera(address), ..
     camera.start()
     while True:
         frame = grab(camera)               # CapturedFrame; TimeoutError when none came, EndOfFrames after the last
@@ -162,19 +162,3 @@ class OneRequest:
             return request.get_metadata()
         finally:
             request.release()
-
-
-# ---- Picamera2 ---------------------------------------------------------------------------------------------------
-
-
-def plug(camera: object) -> Camera:
-    """Make a Camera of what the user has: one of ours as it is, a configured Picamera2 object in an adapter."""
-    if isinstance(camera, Camera):
-        return camera
-    if hasattr(camera, "camera_configuration") and hasattr(camera, "capture_request"):
-        from annulus_pipe.capture.picamera import PicameraCamera  # it needs this module
-
-        return PicameraCamera(camera)
-    raise AnnulusError(
-        f"camera: {type(camera).__name__} has not Picamera2's methods, expected start .. capture_request"
-    )

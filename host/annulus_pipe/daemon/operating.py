@@ -8,28 +8,54 @@ whoever asked and whatever became of them: a head does not stay armed because a 
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from annulus_pipe.daemon.about import about
 from annulus_pipe.daemon.command import Command
 from annulus_pipe.daemon.config import HeadConfig, LampConfig
-from annulus_pipe.daemon.controller_line import check_lamps, lamp_numbers, preamble_for, stage_of, with_lamps
-from annulus_pipe.daemon.observer import Commanded, Mark
+from annulus_pipe.daemon.controller_line import (
+    ControllerLine,
+    check_lamps,
+    lamp_numbers,
+    preamble_for,
+    stage_of,
+    with_lamps,
+)
+from annulus_pipe.daemon.observer import Commanded, Mark, Observers
 from annulus_pipe.daemon.request import COMMANDED, Do, Request
+from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.vocabulary import AnnulusError
-
-if TYPE_CHECKING:
-    from annulus_pipe.daemon.session import Session
 
 PHOTO_S = 1.0  # from one photo to the next at least
 WRITTEN_MAX = 20  # requests written down in one second; test_operating_audit: a flood fills neither recording nor log
 ASKS = frozenset({Do.STATE, Do.ABOUT, Do.HOLD})  # change nothing, or only go on
 
 
+class Operated(Protocol):
+    """Of a session what operators can see and change."""
+
+    config: HeadConfig
+    observers: Observers
+    navigation: Navigation
+    newest_led: int | None
+
+    @property
+    def line(self) -> ControllerLine | None: ...
+    @property
+    def has_scan(self) -> bool: ...
+    @property
+    def scan(self) -> int | None: ...
+    def require_scan(self) -> None: ...
+    def start(self, record: bool = True) -> None: ...
+    def pause(self) -> None: ...
+    def resume(self) -> None: ...
+    def stop(self) -> None: ...
+
+
 class Operating:
     """Of one session, whose thread calls everything here."""
 
-    def __init__(self, session: "Session") -> None:
+    def __init__(self, session: Operated) -> None:
         self._session = session
         self._command = Command()
         self._trial_until_s: float | None = None  # monotonic
@@ -73,8 +99,8 @@ class Operating:
             return
         name, own, address = ("", "", "") if who is None else (who.name, self._command.public_id(who), who.address)
         left_out, self._left_out = self._left_out, 0
-        said = Commanded(now_ns, name, own, request.peer, address, request.told(), outcome, left_out)
-        self._session.observers.commanded(said)
+        entry = Commanded(now_ns, name, own, request.peer, address, request.summary(), outcome, left_out)
+        self._session.observers.commanded(entry)
 
     def _obey(self, request: Request) -> Mapping[str, Any] | None:
         now_s = time.monotonic()
@@ -103,8 +129,8 @@ class Operating:
             case Do.MARK:
                 session.require_scan()
                 self._bound_photos(request, now_s)
-                z_mm, said = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
-                session.observers.mark(Mark(time.monotonic_ns(), z_mm, *said, session.newest_led))
+                z_mm, note = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
+                session.observers.mark(Mark(time.monotonic_ns(), z_mm, *note, session.newest_led))
             case Do.ZERO:
                 if session.line is None:
                     raise AnnulusError("there is no controller, and so no odometer to zero")
@@ -183,7 +209,7 @@ class Operating:
             self._before = self._before or former.lamps
         else:
             self._before = None
-            session.observers.event("lamps", f"lamps set: {_said(wanted.lamps)}")
+            session.observers.event("lamps", f"lamps set: {_in_words(wanted.lamps)}")
         return wanted.lamps
 
     def _put_in_force(self, config: HeadConfig, window: bool) -> None:
@@ -210,6 +236,6 @@ class Operating:
             self._session.observers.event("command", text)
 
 
-def _said(lamps: LampConfig) -> str:
+def _in_words(lamps: LampConfig) -> str:
     projector = f"projector {lamps.projector_delay_us:g} us, {lamps.projector_width_us:g} us long"
     return f"{projector}; LED {lamps.led_delay_us:g} us, {lamps.led_width_us:g} us long; {lamps.ratio}:1"

@@ -24,6 +24,7 @@ from annulus_pipe.flash.over_line import write_over_line
 from annulus_pipe.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus_pipe.link.client import Client
 from annulus_pipe.link.codec import Corrupt
+from annulus_pipe.link.fields import Message
 from annulus_pipe.link.hardware import carrier_line
 from annulus_pipe.link.messages import (
     BOOTLOADER_MAGIC,
@@ -33,7 +34,6 @@ from annulus_pipe.link.messages import (
     Hardware,
     HardwareReply,
     IdentifyReply,
-    Message,
     Status,
     StatusCode,
     StatusReply,

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from annulus_pipe.link.messages import COMMANDS, EVENTS, MAX_WIRE, NOTICES, REPLIES, REPLY_BIT, Event, Message, Notice
+from annulus_pipe.link.fields import Message
+from annulus_pipe.link.messages import COMMANDS, EVENTS, MAX_WIRE, NOTICES, REPLIES, REPLY_BIT, Event, Notice
 
 TO_CONTROLLER: Mapping[int, type[Message]] = COMMANDS
 TO_HOST: Mapping[int, type[Message]] = {**REPLIES, **EVENTS, **NOTICES}

@@ -1,6 +1,5 @@
-"""When compiled loops are compiled: whoever waits is told, and what was compiled ahead is known without compiling.
+"""What was compiled ahead is known without compiling.
 
-    with telling(print): ...                 # one line, once, where compiling takes longer than a moment
     if not is_ready("slits-1"): ...          # a note beside the compiled code: all of that work's loops are there
 
 The note holds for one source, one numba and one kind of processor. It is a hint: what is stale is known kernel by
@@ -12,57 +11,19 @@ import hashlib
 import importlib.metadata
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-LINE = "compiling the measuring loops, once: about a minute, longer on a Raspberry Pi"
 NOWHERE = "compiled loops cannot be kept, every process compiles anew: set NUMBA_CACHE_DIR to a folder of your own"
-MOMENT_S = 1.0  # of compiling that nobody needs to be told of: a rare loop, or one more type
 _DECORATORS = (b"@jit", b"jit_with")  # a file with one of these has kernels
-
-_say: Callable[[str], None] | None = None
-_told = False
-_depth, _began_s, _spent_s = 0, 0.0, 0.0
-
-
-@contextmanager
-def telling(say: Callable[[str], None]) -> Iterator[None]:
-    """Meanwhile `say` is given LINE, once a process, when compiling in this process takes longer than MOMENT_S."""
-    global _say
-    before, _say = _say, say
-    try:
-        yield
-    finally:
-        _say = before
-
-
-def begins() -> None:
-    """A kernel begins to be compiled, perhaps within another's. Called by numeric.jit, under numba's own lock."""
-    global _depth, _began_s, _told
-    now = time.monotonic()
-    if _depth == 0:
-        _began_s = now
-    _depth += 1
-    if not _told and _say is not None and _spent_s + now - _began_s > MOMENT_S:
-        _told = True
-        _say(LINE)
-
-
-def ends() -> None:
-    global _depth, _spent_s
-    _depth -= 1
-    if _depth == 0:
-        _spent_s += time.monotonic() - _began_s
 
 
 def folder() -> Path | None:
     """Where compiled code of this package is kept: beside the modules, in the user's cache, or where NUMBA_CACHE_DIR
     says; None where nothing can be written, and every process compiles anew."""
-    from annulus_pipe.numeric.jit import cos_sin
+    from annulus_pipe.numeric.jit import cos_sin  # numba takes a second to be there
 
     path = getattr(getattr(cos_sin, "_cache", None), "cache_path", None)
     if path is None:

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numba.core import event
 
-from annulus_pipe.numeric import compiling
+from annulus_pipe.numeric import telling
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Options = dict[str, Any]
@@ -87,10 +87,10 @@ def _content(file: str) -> bytes:
 
 class _Told(event.Listener):  # type: ignore[misc]
     def on_start(self, event: object) -> None:
-        compiling.begins()
+        telling.begins()
 
     def on_end(self, event: object) -> None:
-        compiling.ends()
+        telling.ends()
 
 
 event.register("numba:compile", _Told())

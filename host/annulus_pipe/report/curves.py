@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray
-from annulus_pipe.numeric.rounding import MEASURE, PERCENT, said
+from annulus_pipe.numeric.rounding import MEASURE, PERCENT, quoted
 from annulus_pipe.report.marks import Mark, name_above
 from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, Stretch, png, stack
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, Kind
@@ -35,7 +35,7 @@ def draw_diameters(axes: Any, survey: Survey, stretch: Stretch, height_mm: float
     axes.plot(z, low, color=BUMP_BLUE, lw=1.0, label="smallest")
     axes.plot(z, high, color=LOSS_RED, lw=1.0, label="largest")
     axes.plot(z, stations.diameter_mean_mm[part], color=INK, lw=1.8, label="mean")
-    calibrated = f"calibrated pipe {said(nominal_mm, MEASURE)}"
+    calibrated = f"calibrated pipe {quoted(nominal_mm, MEASURE)}"
     axes.axhline(nominal_mm, color=FAINT, lw=0.9, ls=(0, (5, 4)), label=calibrated)
     axes.set_ylabel("diameter, mm")
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -50,7 +50,7 @@ def draw_ovality(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) 
         z, stations.ovality_percent[part], color=FAINT, lw=1.0, label=f"{OVALITY_NAME} as measured, defects included"
     )
     axes.plot(z, stations.shape_ovality_percent[part], color=INK, lw=1.8, label="pipe's shape, defects left out")
-    above = f"listed above {said(limit, PERCENT)}"
+    above = f"listed above {quoted(limit, PERCENT)}"
     axes.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=above)
     axes.set_ylabel("ovality, %")
     axes.set_ylim(bottom=0)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.rounding import DISTANCE, span
-from annulus_pipe.report.bore import draw_lane
 from annulus_pipe.report.course import draw_course
 from annulus_pipe.report.curves import stations
 from annulus_pipe.report.feature_pictures import draw_features
@@ -26,6 +25,7 @@ from annulus_pipe.report.marks import marks_of
 from annulus_pipe.report.paper import DEVIATION, UNSEEN, Stretch, in_style, round_up
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wings.crossbore.picture import draw_lane
 
 SHORT_M = 3.3  # so much goes into one map without sheets
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import Float32Array
-from annulus_pipe.numeric.rounding import MEASURE, SHARE, said
+from annulus_pipe.numeric.rounding import MEASURE, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report.marks import Mark, draw_marks, name_above
 from annulus_pipe.report.paper import (
@@ -105,7 +105,7 @@ def draw_shape(
     draw_marks(axes, marks, height_mm, names=names)
     if not names:
         name_above(axes, marks)
-    diameter = said(2 * survey.wall.mean_radius_mm, MEASURE)
+    diameter = quoted(2 * survey.wall.mean_radius_mm, MEASURE)
     title(axes, f"Deviation from the mean circle, Ø {diameter}", handles, height_mm, right=right)
 
 
@@ -151,10 +151,10 @@ def cameras(survey: Survey, stretch: Stretch) -> bytes:
     _draw_hidden(both[0], survey, stretch)
     share = survey.seen_by_fraction()
     patches = [
-        Patch(color=shade, label=f"{name}: {said(100 * part, SHARE)}")
+        Patch(color=shade, label=f"{name}: {quoted(100 * part, SHARE)}")
         for shade, name, part in zip(shades, names, share.values(), strict=False)
     ]
-    none = f"none: {said(100 * (1 - survey.seen_fraction), SHARE)}"
+    none = f"none: {quoted(100 * (1 - survey.seen_fraction), SHARE)}"
     patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(label=none, **NOT_SEEN)]
     columns = min(len(patches), LEGEND_COLUMNS)
     lines = -(-len(patches) // columns)

@@ -247,7 +247,7 @@ def write_centreline(path: Path, survey: Survey) -> None:
     start, end = survey.scanned_mm
     chainage = np.unique(np.append(np.arange(start, end, LINE_STEP_MM), end))
     points = line.to_space(np.column_stack([np.zeros((len(chainage), 2)), chainage]))
-    told = {
+    outcome = {
         "format": "annulus-centreline/1",
         "frame": "x right, y down, z forward along the first straight, mm",
         "pipe_radius_mm": round(survey.wall.mean_radius_mm, 4),
@@ -272,7 +272,7 @@ def write_centreline(path: Path, survey: Survey) -> None:
         "line_mm": [[round(float(v), 3) for v in (s, *p)] for s, p in zip(chainage, points, strict=True)],
         "camera_path": [[frame, *(round(float(v), 3) for v in place)] for frame, place in _camera_path(survey)],
     }
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
 
 
 def _camera_path(survey: Survey) -> list[tuple[int, np.ndarray[Any, Any]]]:

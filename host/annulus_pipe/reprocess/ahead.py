@@ -27,6 +27,7 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric import compiling
+from annulus_pipe.numeric.telling import telling
 from annulus_pipe.record.scan import ScanFrame
 from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.reprocess.warmup import warmup_frame
@@ -152,7 +153,7 @@ def _in_a_child(calibration: Calibration, out: Connection, parent: int) -> None:
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlive the command
     if os.getppid() != parent:
         os._exit(1)
-    with compiling.telling(out.send), contextlib.suppress(Exception):  # what is wrong, the scan itself will say
+    with telling(out.send), contextlib.suppress(Exception):  # what is wrong, the scan itself will say
         compile_all(calibration)
 
 

@@ -12,8 +12,8 @@ import libcamera_stub
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, Camera, grab, plug
-from annulus_pipe.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, require_controls
+from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, Camera, grab
+from annulus_pipe.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, plug, require_controls
 from annulus_pipe.vocabulary import AnnulusError
 
 PACKAGE = Path(__file__).parents[3] / ".tools/picamera2"

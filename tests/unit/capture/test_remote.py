@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import BGR8, MONO8, grab, plug
+from annulus_pipe.capture.camera import BGR8, MONO8, grab
+from annulus_pipe.capture.picamera import plug
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.vocabulary import AnnulusError
 

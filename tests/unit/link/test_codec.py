@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annulus_pipe.link.codec import TO_CONTROLLER, TO_HOST, Corrupt, Decoder, Frame, Why, crc16, encode
-from annulus_pipe.link.messages import EVENTS, MAX_WIRE, MESSAGES, Message, Notice
+from annulus_pipe.link.fields import Message
+from annulus_pipe.link.messages import EVENTS, MAX_WIRE, MESSAGES, Notice
 
 VECTORS = Path(__file__).parents[3] / "protocol" / "vectors.json"
 

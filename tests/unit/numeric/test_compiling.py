@@ -9,7 +9,7 @@ from types import FunctionType
 
 import pytest
 
-from annulus_pipe.numeric import compiling, jit
+from annulus_pipe.numeric import compiling, jit, telling
 
 CALLER = """
 from annulus_pipe.numeric.jit import jit
@@ -30,10 +30,10 @@ def half(x):
 RUN = """
 import sys
 sys.path.insert(0, {folder!r})
-from annulus_pipe.numeric import compiling
-compiling.MOMENT_S = {moment}
+from annulus_pipe.numeric import telling
+telling.MOMENT_S = {moment}
 from caller import weighed
-with compiling.telling(lambda line: print("told", line)):
+with telling.telling(lambda line: print("told", line)):
     print(weighed(12.0), len(weighed.stats.cache_hits))
 """
 
@@ -70,7 +70,7 @@ def test_who_waits_is_told_once_and_not_when_nothing_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path)
-    assert run(tmp_path, monkeypatch, moment=0.0) == [f"told {compiling.LINE}", "6.0 0"]
+    assert run(tmp_path, monkeypatch, moment=0.0) == [f"told {telling.LINE}", "6.0 0"]
     assert run(tmp_path, monkeypatch, moment=0.0) == ["6.0 1"]
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from annulus_pipe import vocabulary
 from annulus_pipe.link import messages
+from annulus_pipe.link.fields import Message
 from annulus_pipe.vocabulary import AnnulusError
 
 PROTOCOL = Path(__file__).resolve().parents[3] / "protocol"
@@ -36,7 +37,7 @@ def unstuff(wire: bytes) -> bytes:
     return out[:-1]
 
 
-def fields_of(message: messages.Message) -> dict[str, Any]:
+def fields_of(message: Message) -> dict[str, Any]:
     values = {name: getattr(message, name) for name in message.FIELDS}
     return {name: value.hex() if isinstance(value, bytes) else int(value) for name, value in values.items()}
 

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import EndOfFrames, grab, plug
+from annulus_pipe.capture.camera import EndOfFrames, grab
+from annulus_pipe.capture.picamera import plug
 from annulus_pipe.record.replay import ScanFolderCamera, VideoFileCamera
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -8,6 +8,7 @@ from numba.core.registry import CPUDispatcher
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric import compiling
+from annulus_pipe.numeric.telling import LINE
 from annulus_pipe.reprocess import ahead, open_job, reprocess
 from annulus_pipe.reprocess.ahead import compile_all, make_ready, work_of
 from annulus_pipe.twin.scan import write_scan
@@ -52,7 +53,7 @@ def test_what_is_ready_is_passed_by_in_silence_and_what_is_not_is_done_in_a_chil
     said: list[str] = []
     monkeypatch.setattr(compiling, "is_ready", ready.__contains__)
     make_ready(calibration, said.append)  # loads, or compiles and says so
-    assert set(said) <= {compiling.LINE}
+    assert set(said) <= {LINE}
     monkeypatch.setattr(ahead.multiprocessing, "get_context", pytest.fail)
     ready.append(work_of(calibration))
     make_ready(calibration, said.append)

@@ -6,6 +6,7 @@ from typing import Any
 
 from annulus_pipe.controller import TURNTABLE_LEAD_MS
 from annulus_pipe.link.codec import Decoder, Frame
+from annulus_pipe.link.fields import Message
 from annulus_pipe.link.messages import (
     COMMANDS,
     EVENTS,
@@ -14,7 +15,6 @@ from annulus_pipe.link.messages import (
     Fault,
     FaultCode,
     Garbled,
-    Message,
     MoveReply,
     Reply,
     StatusCode,
