@@ -18,7 +18,7 @@ def steps(room: str) -> list[list[str]]:
     """The commands, each to end with 0. Raises ValueError naming the rooms there are."""
     named = (ROOMS / room, ROOMS / f"{room}.py") if re.fullmatch(r"[a-z]\w*(/[a-z]\w*)*", room) else ()
     code = next((path for path in named if path.exists()), None)
-    tests = [ROOT / "tests/unit" / room, ROOT / f"tests/unit/test_{room}.py"]
+    tests = [ROOT / "tests/unit" / room, ROOT / "tests" / room, ROOT / f"tests/unit/test_{room}.py"]
     tests = [path for path in tests if path.exists()]
     if code is None:
         known = sorted(path.parent.relative_to(ROOMS).as_posix() for path in ROOMS.rglob("__init__.py"))

@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import tiers  # noqa: E402  # it lies beside the tests
 
-FOLDERS = ("unit", "scenes")  # whose next folder is a room
+FOLDERS = ("wings", "unit", "scenes")  # whose next folder is a room
 EVERYWHERE = ("system", "regression")  # whole programs: after any change of the host
 FIRMWARE = ("firmware", "protocol", "tools/emulator", "tools/attack")
 
@@ -35,10 +35,11 @@ def last_base() -> str:
 
 
 def floors() -> dict[str, int]:
-    """Each room's, the highest is 0."""
+    """Each room's, the highest is 0, where the wings stand: nothing of the core knows one."""
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     layers = next(c["layers"] for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
-    return {
+    wings = (path.parent.name for path in (ROOT / "host/annulus_pipe/wings").glob("*/__init__.py"))
+    return dict.fromkeys(wings, 0) | {
         name.strip().removeprefix("annulus_pipe."): floor
         for floor, layer in enumerate(layers)
         for name in re.split(r"[|:]", layer)
@@ -47,7 +48,8 @@ def floors() -> dict[str, int]:
 
 def touched(changed: list[str], floor: dict[str, int]) -> dict[str, int]:
     """The test files of deep cases that the change calls for, and how far above it they stand: nearest first."""
-    rooms = {Path(name).parts[2].removesuffix(".py") for name in changed if name.startswith("host/annulus_pipe/")}
+    inside = [Path(name).parts[2:] for name in changed if name.startswith("host/annulus_pipe/")]
+    rooms = {parts[parts[0] == "wings"].removesuffix(".py") for parts in inside}
     rooms &= floor.keys()
     tested = {name for name in changed if name.startswith("tests/")}
     helped = {Path(name).parent for name in tested if not Path(name).name.startswith("test_") and name.endswith(".py")}

@@ -24,7 +24,7 @@ from annulus_pipe.daemon.pools import default_workers
 from annulus_pipe.daemon.run import ending
 from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.record.origin import origin_of
@@ -154,7 +154,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
             pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, LedFrames(job))
             truth = _truth(world, pipe)
             write(pipe, _account(job, pipe, report, pace, late, truth), out)
-    for line in _said(out, pipe, truth, time.monotonic() - begun):
+    for line in _closing_lines(out, pipe, truth, time.monotonic() - begun):
         print(line)
 
 
@@ -176,8 +176,8 @@ def measure_pace(world: World) -> Pace:
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
     save_calibration(out / "calibration.json", world.calibration())
-    told = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
-    here = f'{told}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
+    job = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
+    here = f'{job}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
     (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
     return load_config(out / "head.toml")
 
@@ -281,17 +281,18 @@ def _truth(world: World, pipe: Survey) -> dict[str, Any]:
     return {**numbers, **scored}
 
 
-def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> list[str]:
+def _closing_lines(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> list[str]:
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
-        f"wall       {pipe.points} points over {said(last - first, DISTANCE)}, rms {said(truth['rms_mm'], MEASURE)} "
-        f"against the truth, {said(truth['gross_percent'], PERCENT)} off by more than 2 mm",
+        f"wall       {pipe.points} points over {quoted(last - first, DISTANCE)}, "
+        f"rms {quoted(truth['rms_mm'], MEASURE)} against the truth, "
+        f"{quoted(truth['gross_percent'], PERCENT)} off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {said(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
-        f"{said(d.z_mm, DISTANCE)}, clock {d.clock}"
+        f"           {d.kind:<8} {quoted(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
+        f"{quoted(d.z_mm, DISTANCE)}, clock {d.clock}"
         for d in pipe.defects
     ]
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]

@@ -90,7 +90,7 @@ class JobSheet:
         return {name: getattr(self, name) for name in WORDS if getattr(self, name) not in ("", None)}
 
     def to_whole(self) -> dict[str, Any]:
-        """All of it, None what nobody said: what is written over by this is emptied where this is empty."""
+        """Every field, None where it is empty, so that writing it over another sheet empties those fields there."""
         return {name: self.to_dict().get(name) for name in WORDS}
 
     def under(self, other: "JobSheet") -> "JobSheet":
@@ -103,7 +103,7 @@ class JobSheet:
         return JobSheet(**{name: value for name, value in self.to_dict().items() if name not in gone})
 
     def over_told(self, data: object) -> "JobSheet":
-        """Itself with what a recording says written over it; what that says is empty is."""
+        """Itself with a recording's fields written over it, those too that the recording says are empty."""
         return self.under(JobSheet.recorded(data)).without(emptied(data))
 
 
@@ -112,8 +112,8 @@ assert tuple(WORDS) == tuple(one.name for one in fields(JobSheet))
 
 def emptied(data: object) -> frozenset[str]:
     """The fields of a sheet that it says are empty."""
-    told = data if isinstance(data, Mapping) else {}
-    return frozenset(name for name, value in told.items() if isinstance(name, str) and value in ("", None))
+    sheet = data if isinstance(data, Mapping) else {}
+    return frozenset(name for name, value in sheet.items() if isinstance(name, str) and value in ("", None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +159,8 @@ class Origin:
 
 def provenance(calibration: object) -> dict[str, dict[str, Any]]:
     """How each section of a calibration.json came about, as far as it says: its numbers and words, lists left out."""
-    told = calibration.get("provenance") if isinstance(calibration, Mapping) else None
-    return _plain_sections(told)
+    sections = calibration.get("provenance") if isinstance(calibration, Mapping) else None
+    return _plain_sections(sections)
 
 
 def recorded_provenance(configuration: object) -> dict[str, dict[str, Any]]:
@@ -168,9 +168,9 @@ def recorded_provenance(configuration: object) -> dict[str, dict[str, Any]]:
     return _plain_sections(configuration.get("calibration_provenance") if isinstance(configuration, Mapping) else None)
 
 
-def _plain_sections(told: object) -> dict[str, dict[str, Any]]:
+def _plain_sections(sections: object) -> dict[str, dict[str, Any]]:
     out: dict[str, dict[str, Any]] = {}
-    for section, made in list(told.items())[:SECTIONS_MAX] if isinstance(told, Mapping) else ():
+    for section, made in list(sections.items())[:SECTIONS_MAX] if isinstance(sections, Mapping) else ():
         if isinstance(section, str) and isinstance(made, Mapping):
             plain = {k: v for k, v in made.items() if isinstance(k, str) and len(k) <= NAME_MAX and _is_plain(v)}
             out[printable(section)[:NAME_MAX]] = dict(list(plain.items())[:SECTIONS_MAX])

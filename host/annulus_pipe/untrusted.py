@@ -210,7 +210,7 @@ def within(value: object, what: str, low: float, high: float) -> float:
 def numbers(value: object, what: str, counts: Collection[int], most: float) -> tuple[float, ...]:
     """A list of finite numbers, not larger than `most` either way; `counts`: how many there may be."""
     if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) not in counts:
-        raise ValueError(f"{what} must be a list of {_told(counts)} numbers")
+        raise ValueError(f"{what} must be a list of {_counted(counts)} numbers")
     return tuple(within(item, f"{what}, number {i + 1},", -most, most) for i, item in enumerate(value))
 
 
@@ -221,5 +221,5 @@ def text(value: object, what: str, longest: int) -> str:
     return value
 
 
-def _told(counts: Collection[int]) -> str:
+def _counted(counts: Collection[int]) -> str:
     return f"{counts[0]}..{counts[-1]}" if isinstance(counts, range) else " or ".join(map(str, counts))

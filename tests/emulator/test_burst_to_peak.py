@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from annulus_pipe.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER
+from annulus_pipe.link.codes import Train, pattern
 from annulus_pipe.link.messages import Arm, ArmFlag
 from annulus_pipe.link.operate import train_messages
-from annulus_pipe.thermoacoustic.codes import Train, pattern
-from annulus_pipe.thermoacoustic.phantoms import Disc
-from annulus_pipe.thermoacoustic.templates import decode, design
-from annulus_pipe.twin.acoustic.phantom import RigSetup
-from annulus_pipe.twin.acoustic.pins import fire, pulses_of
-from annulus_pipe.twin.acoustic.receiver import Receiver
 from annulus_pipe.twin.emulated import EmulatedBoard
+from annulus_pipe.wings.tai.measure.phantoms import Disc
+from annulus_pipe.wings.tai.measure.templates import decode, design
+from annulus_pipe.wings.tai.simulated.phantom import RigSetup
+from annulus_pipe.wings.tai.simulated.pins import fire, pulses_of
+from annulus_pipe.wings.tai.simulated.receiver import Receiver
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")
 

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe.cli import app
-from annulus_pipe.fringe import FringeProjector
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wings.fringe.measure import FringeProjector
 
 SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"

@@ -10,10 +10,20 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.fringe import FringeProjector, Points, View, find_steps, heights, merged, noise_of, spline, untextured
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.wings.fringe.measure import (
+    FringeProjector,
+    Points,
+    View,
+    find_steps,
+    heights,
+    merged,
+    noise_of,
+    spline,
+    untextured,
+)
 
 SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record.acoustic import load_acoustic
+from annulus_pipe.wings.tai.acoustic_file import load_acoustic
 
 pytestmark = [
     pytest.mark.alone,
-    pytest.mark.deep(gate="tests/unit/tai/test_acquire.py::test_an_interrupted_sweep_goes_on_where_it_was"),
+    pytest.mark.deep(gate="tests/wings/tai/test_acquire.py::test_an_interrupted_sweep_goes_on_where_it_was"),
 ]
 
 ANNULUS = [sys.executable, "-c", "from annulus_pipe.cli import main; main()"]
@@ -118,7 +118,7 @@ def test_killed_interrupted_resumed_and_imaged(traces, tmp_path: Path) -> None:
     assert json.loads(imaged.stdout)["excluded"] == []
     with np.load(tmp_path / "image/image.npz") as saved:
         image, x, y = saved["image"], saved["x_mm"], saved["y_mm"]
-    from annulus_pipe.thermoacoustic.phantoms import phantom
+    from annulus_pipe.wings.tai.measure.phantoms import phantom
 
     yy, xx = np.meshgrid(y, x, indexing="ij")
     inside = np.any([part.inside(xx, yy) for part in phantom("shapes")], axis=0)

@@ -20,11 +20,11 @@ from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
 from annulus_pipe.sensors.i2c import I2cSensors
 from annulus_pipe.sensors.imu import Mpu6050
 from annulus_pipe.sensors.ina226 import Ina226, Rail
-from annulus_pipe.twin.capacitance import Bore, Ground
 from annulus_pipe.twin.head import start_head
 from annulus_pipe.twin.i2c_chips import HeadBus
 from annulus_pipe.twin.worlds import demo_world
 from annulus_pipe.wall.features import FeatureKind
+from annulus_pipe.wings.crossbore.ground import Bore, Ground
 
 pytestmark = [
     pytest.mark.alone,
@@ -83,4 +83,4 @@ def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path
     (bore,) = [feature for feature in pipe.features if feature.kind is FeatureKind.CROSS_BORE]
     assert bore.z_mm == pytest.approx(BORE_MM, abs=25.0) and bore.length_mm == pytest.approx(2 * RADIUS_MM, abs=40.0)
     assert bore.arc_deg == 360.0 and bore.measured("probability_percent") > 90.0
-    assert pipe.lane is not None and "taken out" in pipe.lane.told
+    assert pipe.lane is not None and "taken out" in pipe.lane.remark

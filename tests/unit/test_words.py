@@ -50,7 +50,7 @@ def test_only_the_command_line_names_options(room: str) -> None:
     told = [
         f"{file.relative_to(HOUSE)}:{line}: {name}"
         for file in files
-        if file.suffix == ".py"
+        if file.suffix == ".py" and not file.name.endswith("commands.py")  # a wing's own part of the command line
         for line, name in options(file.read_text(encoding="utf-8"))
     ]
     assert not told

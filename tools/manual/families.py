@@ -84,9 +84,12 @@ def _template(node: ast.expr) -> str:
 
 @cache
 def families() -> tuple[Family, ...]:
-    data: Mapping[str, Any] = tomllib.loads(FAMILIES.read_text(encoding="utf-8"))
+    """The core's, then those that lie in the wings' own folders."""
+    files = (FAMILIES, *sorted((ROOT / "host/annulus_pipe/wings").glob("*/families.toml")))
+    parts: list[Mapping[str, Any]] = [tomllib.loads(file.read_text(encoding="utf-8")) for file in files]
     return tuple(
         Family(area["name"], one["title"], one["means"], one["do"], tuple(one["messages"]))
+        for data in parts
         for area in data["area"]
         for one in area["family"]
     )

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.thermoacoustic.codes import pattern
-from annulus_pipe.thermoacoustic.templates import Method, Template, Transducer, design, pair_correlation
+from annulus_pipe.link.codes import pattern
+from annulus_pipe.wings.tai.measure.templates import Method, Template, Transducer, design, pair_correlation
 from tools.study.figure import Figure
 
 CHIP_S = 0.5e-6

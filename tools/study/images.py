@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
-from annulus_pipe.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
-from annulus_pipe.thermoacoustic.imaging import TAIL, Image, time_reversal
-from annulus_pipe.thermoacoustic.phantoms import Box, Disc, Part, draw, phantom
-from annulus_pipe.thermoacoustic.sweep import Sweep
+from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
+from annulus_pipe.wings.tai.measure.imaging import TAIL, Image, time_reversal
+from annulus_pipe.wings.tai.measure.phantoms import Box, Disc, Part, draw, phantom
+from annulus_pipe.wings.tai.measure.sweep import Sweep
 from tools.study.figure import Figure, FloatArray, profile, show_map
 
 SPEED = 1500.0

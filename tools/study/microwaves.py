@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
-from annulus_pipe.thermoacoustic.electromagnetics import (
+from annulus_pipe.wings.tai.measure.electromagnetics import (
     AIR,
     EPS0,
     FREQUENCY_HZ,
@@ -25,8 +25,8 @@ from annulus_pipe.thermoacoustic.electromagnetics import (
     plane_wave,
     slab_loss,
 )
-from annulus_pipe.thermoacoustic.field import Grid, Medium, Solver, receivers, time_step_s
-from annulus_pipe.thermoacoustic.phantoms import Box, Disc, Part, draw, phantom
+from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers, time_step_s
+from annulus_pipe.wings.tai.measure.phantoms import Box, Disc, Part, draw, phantom
 from tools.study.figure import Figure, FloatArray, profile, show_map
 from tools.study.images import SHIFT_MM, SMOOTH, Frame, likeness
 

@@ -15,14 +15,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from annulus_pipe.record.acoustic import AcousticRecord
-from annulus_pipe.tai.decode import decode_record, sweep_of
-from annulus_pipe.tai.simulate import Setup, coupling, simulate, through
-from annulus_pipe.thermoacoustic.codes import Chips, pattern, text
-from annulus_pipe.thermoacoustic.imaging import Image, time_reversal
-from annulus_pipe.thermoacoustic.phantoms import phantom
-from annulus_pipe.thermoacoustic.templates import decode_pair
+from annulus_pipe.link.codes import pattern, text
+from annulus_pipe.numeric.arrays import Chips
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord
+from annulus_pipe.wings.tai.decode import decode_record, sweep_of
+from annulus_pipe.wings.tai.measure.imaging import Image, time_reversal
+from annulus_pipe.wings.tai.measure.phantoms import phantom
+from annulus_pipe.wings.tai.measure.templates import decode_pair
+from annulus_pipe.wings.tai.simulate import Setup, coupling, simulate, through
 from tools.study.codes import CHIP_S, template
 from tools.study.figure import Figure, FloatArray, profile, show_map, show_trace
 
@@ -418,8 +419,8 @@ def pair_trace() -> Figure:
 
 def show_sample(axes: Any, name: str, title: str) -> None:
     """What stands in front of the receiver."""
-    from annulus_pipe.thermoacoustic.field import Grid
-    from annulus_pipe.thermoacoustic.phantoms import draw
+    from annulus_pipe.wings.tai.measure.field import Grid
+    from annulus_pipe.wings.tai.measure.phantoms import draw
 
     grid = Grid((300, 300), 2 * SETUP.radius_mm / 280)
     show_map(axes, draw(phantom(name), grid), grid.x_mm, grid.y_mm, title, (0, 1.05))

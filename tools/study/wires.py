@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.thermoacoustic.phantoms import Disc, phantom
+from annulus_pipe.wings.tai.measure.phantoms import Disc, phantom
 from tools.study.figure import Figure, FloatArray, profile, show_map
 from tools.study.images import resolution
 from tools.study.noise import CODED, FULL_KW, SINGLE, Condition, condition, show_sample

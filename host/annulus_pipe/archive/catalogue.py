@@ -53,7 +53,7 @@ def add(
     results: Sequence[Path],
     job: JobSheet | None = None,
     replaces: str | None = None,
-    told: Told = lambda what, done, total: None,
+    progress: Told = lambda what, done, total: None,
 ) -> list[Added | Refused]:
     """Folders of results into the catalogue, which is made where there is none; one that cannot be read does not keep
     out the others. job: goes over what each says. replaces: the survey in whose place the only one counts.
@@ -68,7 +68,7 @@ def add(
     sweep(root)
     done: list[Added | Refused] = []
     for i, folder in enumerate(results):
-        told("adding", i, len(results))
+        progress("adding", i, len(results))
         try:
             record = read_survey(folder, job, old)
         except AnnulusError as error:
@@ -78,7 +78,7 @@ def add(
         if made and before and made < before:
             raise AnnulusError(f"{folder}: was made before the survey it is to replace, expected a later one")
         done.append(Added(folder, record.row, put(root, record)))
-    told("adding", len(results), len(results))
+    progress("adding", len(results), len(results))
     pack(root)
     return _versions(root, done)
 
@@ -131,17 +131,17 @@ def listed(
         return rows, 0 if superseded else old, catalogue.damage
 
 
-def checked(archive: Path, told: Told = lambda what, done, total: None) -> Iterator[str]:
+def checked(archive: Path, progress: Told = lambda what, done, total: None) -> Iterator[str]:
     """What is wrong with each survey's own files, read to their ends and held against their names. One line each."""
     root = require(archive)
     ids = survey_ids(root)
     for i, survey in enumerate(ids):
-        told("checking", i, len(ids))
+        progress("checking", i, len(ids))
         try:
             read_back(survey_folder(root, survey))
         except ValueError as error:
             yield one_line(str(error))
-    told("checking", len(ids), len(ids))
+    progress("checking", len(ids), len(ids))
 
 
 def results_of(archive: Path, name: str) -> Path:
@@ -155,8 +155,8 @@ def results_of(archive: Path, name: str) -> Path:
     if not folder.is_dir():
         raise AnnulusError(f"{folder}: the results of {row['survey']} are not there any more, expected their folder")
     now = read_survey(folder)
-    told = {name: row[name] for name in _TOLD}  # a job given at adding is of the survey, not of the folder
-    if digest({**now.row, **told}, now.stations, now.defects, now.features) != row["digest"]:
+    job = {name: row[name] for name in _TOLD}  # a job given at adding is of the survey, not of the folder
+    if digest({**now.row, **job}, now.stations, now.defects, now.features) != row["digest"]:
         raise AnnulusError(f"{folder}: has other results than those of survey {row['survey']} by now; add them again")
     return folder
 
@@ -166,7 +166,7 @@ _TOLD = frozenset(WORDS) - {"nominal_diameter_mm"} | {"date_of", "job_diameter_m
 
 def _found(root: Path, name: str) -> Row:
     """The one survey of that name."""
-    columns, told = [one.name for one in SURVEYS], shown(name)
+    columns, printed = [one.name for one in SURVEYS], shown(name)
     name = printable(name)  # as texts are kept
     with open_catalogue(root) as catalogue:
         ask = catalogue.connection.execute
@@ -188,13 +188,13 @@ def _found(root: Path, name: str) -> Row:
             found = rows(f"pipe = ? AND starts_with(date::VARCHAR, ?) AND {counts}", pipe, day)
     if not found:
         raise AnnulusError(
-            f"{told}: no such survey in {root}, expected an identity, PIPE or PIPE@DATE; "
+            f"{printed}: no such survey in {root}, expected an identity, PIPE or PIPE@DATE; "
             "`annulus archive list` has them"
         )
     newest = max(one["date"] or date.min for one in found)
     found = [one for one in found if (one["date"] or date.min) == newest]
     if len(found) > 1:
-        raise AnnulusError(f"{told}: {len(found)} surveys of that day ({_some(found)}), expected one's identity")
+        raise AnnulusError(f"{printed}: {len(found)} surveys of that day ({_some(found)}), expected one's identity")
     return found[0]
 
 

@@ -59,7 +59,7 @@ def _answer(asked: Any, out: IO[bytes]) -> None:
     except (duckdb.Error, MemoryError, ArithmeticError, ValueError, NotImplementedError, OSError) as error:
         if isinstance(error, BrokenPipeError) or engine is None:
             raise
-        _refuse(out, f"query: {engine.told(error)}", engine)
+        _refuse(out, f"query: {engine.explained(error)}", engine)
 
 
 def _bound_memory(memory_mb: int) -> None:

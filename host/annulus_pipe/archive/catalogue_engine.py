@@ -46,7 +46,7 @@ class Engine:
             except need("duckdb").Error as error:
                 more = frozenset(broken(self.connection, pieces)) - without
                 if not more:
-                    raise AnnulusError(f"{self.root}: cannot be read: {_said(error)}") from None
+                    raise AnnulusError(f"{self.root}: cannot be read: {_first_line(error)}") from None
                 without |= more
         raise AnnulusError(f"{self.root}: its surveys cannot be read, expected a catalogue that is not being changed")
 
@@ -86,8 +86,8 @@ class Engine:
             self.connection.execute(f"SET {setting}")
 
     def ask(self, sql: str) -> Any:
-        """DuckDB's result of one SELECT. AnnulusError for what is none, DuckDB's errors for what fails (`told`). A file
-        that turns out to be damaged is left out, and told in `damage`."""
+        """DuckDB's result of one SELECT. AnnulusError for what is none, DuckDB's errors for what fails
+        (`explained`). A file that turns out to be damaged is left out, and told in `damage`."""
         require_select(self.connection, sql)
         duckdb = need("duckdb")
         not_of_files = (
@@ -124,14 +124,14 @@ class Engine:
         self.damage = list(by_path.values())
         return True
 
-    def told(self, error: Exception) -> str:
+    def explained(self, error: Exception) -> str:
         """What one of DuckDB's errors says, one line."""
         duckdb = need("duckdb")
         if isinstance(error, duckdb.OutOfMemoryException | MemoryError):
             return too_much(self.memory_mb)
         if isinstance(error, duckdb.PermissionException):
             return "asks for a file, expected only the tables of the catalogue"
-        return _said(error)
+        return _first_line(error)
 
 
 def too_much(memory_mb: int) -> str:
@@ -148,7 +148,7 @@ def require_select(connection: Any, sql: str) -> None:
         serialized = connection.execute("SELECT json_serialize_sql(?::VARCHAR)", [sql]).fetchone()[0]
         tree = json.loads(serialized)
     except (duckdb.Error, UnicodeEncodeError, RecursionError) as error:
-        raise AnnulusError(f"query: {_said(error)}") from None
+        raise AnnulusError(f"query: {_first_line(error)}") from None
     if tree.get("error"):
         why = _first(str(tree.get("error_message")))
         if why.startswith("Only SELECT"):
@@ -179,7 +179,7 @@ def _names(columns: Sequence[Any]) -> str:
     return ", ".join(one.name for one in columns)
 
 
-def _said(error: Exception) -> str:
+def _first_line(error: Exception) -> str:
     return one_line(_first(str(error))) or type(error).__name__
 
 

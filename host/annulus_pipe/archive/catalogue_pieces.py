@@ -139,11 +139,11 @@ def _pack(
     except need("duckdb").Error as error:
         damage.append(Damage(path, one_line(str(error).partition("\n")[0]), lost=False))
         return None
-    told = frozenset(str(row[0]) for row in found)
-    if len(told) != count or len(found) != count:
-        damage.append(Damage(path, f"has {len(told)} surveys, expected {count}", lost=False))
+    surveys = frozenset(str(row[0]) for row in found)
+    if len(surveys) != count or len(found) != count:
+        damage.append(Damage(path, f"has {len(surveys)} surveys, expected {count}", lost=False))
         return None
-    return Pack(folder, told & ids, told - ids)
+    return Pack(folder, surveys & ids, surveys - ids)
 
 
 def broken(connection: Any, pieces: Pieces, tables: Iterable[str] = TABLES) -> dict[Path, str]:

@@ -239,7 +239,7 @@ def _span(one: Any) -> timedelta:
 
 
 def _value(pyarrow: Any, one: Any) -> Any:
-    """Of one of Arrow's scalars, whatever is in it."""
+    """One of Arrow's scalars as Python's own value, or as text where Python has none for it."""
     if not one.is_valid:
         return None
     kinds = pyarrow.types
@@ -259,8 +259,8 @@ def _value(pyarrow: Any, one: Any) -> Any:
         is_date = kinds.is_date32(one.type)
         if (is_date or kinds.is_timestamp(one.type)) and abs(one.value) == (_DAYS_MAX if is_date else _TICKS_MAX):
             return "infinity" if one.value > 0 else "-infinity"  # as DuckDB writes it
-        said = str(one.cast(pyarrow.string())).replace(" ", "T", 1)
-        return str(np.datetime64(one.value, one.type.unit)) if said.startswith("<") else said  # beyond the year 32767
+        text = str(one.cast(pyarrow.string())).replace(" ", "T", 1)
+        return str(np.datetime64(one.value, one.type.unit)) if text.startswith("<") else text  # beyond the year 32767
 
 
 @contextmanager

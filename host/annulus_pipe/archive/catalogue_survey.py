@@ -33,7 +33,7 @@ from annulus_pipe.record.results_folder import (
     scanned,
     text,
     texts,
-    told,
+    unreadable,
 )
 from annulus_pipe.record.results_folder import STATIONS as STATIONS_FILE
 from annulus_pipe.untrusted import mapping, printable, shown, within
@@ -74,11 +74,11 @@ def read_survey(folder: Path, job: JobSheet | None = None, replaces: Row | None 
         summary = read_summary(folder)
         row, defects, features = _summary(summary, job or JobSheet())
     except (OSError, ValueError) as error:
-        raise told(folder / SUMMARY, error) from None
+        raise unreadable(folder / SUMMARY, error) from None
     try:
         stations = read_stations(folder, summary, LATER_COLUMNS)
     except (OSError, ValueError) as error:
-        raise told(folder / STATIONS_FILE, error) from None
+        raise unreadable(folder / STATIONS_FILE, error) from None
     row["station_count"] = len(stations["z_mm"])
     row["results"] = printable(str(folder.resolve()))
     row["added_utc"] = datetime.now(UTC).replace(tzinfo=None)

@@ -15,7 +15,7 @@ from annulus_pipe.archive.listed import laid_out, named, read_listed
 from annulus_pipe.archive.ovality import MeanDiameter, Ovality, mean_diameter, ovality
 from annulus_pipe.archive.wall_map import WallMap, read_map
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, quoted, span
 from annulus_pipe.record.results_folder import Place
 
 FORMAT = "annulus-growth/1"
@@ -61,10 +61,10 @@ class Comparison:
         oval, at = self.ovality, self.ovality.worst
         if at is None:
             return "Ovality: no station was seen by both."
-        told = " and that is no more than may be off" if abs(oval.change[at]) <= oval.change_k2[at] else ""
+        remark = " and that is no more than may be off" if abs(oval.change[at]) <= oval.change_k2[at] else ""
         return (
-            f"Ovality changed most at {said(oval.z_mm[at], DISTANCE)}, from {said(oval.first[at], PERCENT)} to "
-            f"{said(oval.second[at], PERCENT)}, by {said(oval.change[at], PERCENT, oval.change_k2[at])}{told}."
+            f"Ovality changed most at {quoted(oval.z_mm[at], DISTANCE)}, from {quoted(oval.first[at], PERCENT)} to "
+            f"{quoted(oval.second[at], PERCENT)}, by {quoted(oval.change[at], PERCENT, oval.change_k2[at])}{remark}."
         )
 
     def diameter_sentence(self) -> str:
@@ -76,8 +76,8 @@ class Comparison:
         if math.isnan(one.change_k2):
             proviso = "; one of the two does not say how sure its scale is, so nothing follows from that"
         return (
-            f"Mean diameter: {said(one.first, MEASURE)} then, {said(one.second, MEASURE)} now, a change of "
-            f"{said(one.change, MEASURE, one.change_k2)}{proviso}."
+            f"Mean diameter: {quoted(one.first, MEASURE)} then, {quoted(one.second, MEASURE)} now, a change of "
+            f"{quoted(one.change, MEASURE, one.change_k2)}{proviso}."
         )
 
     def remarks(self) -> list[str]:
@@ -122,8 +122,8 @@ class Comparison:
             "agreement_sigma": _number(one.sure, 1),
             "z_k2_median_mm": _number(2 * _median(one.sigma_z_mm)),
             "roll_k2_median_deg": _number(2 * _median(one.sigma_roll_deg)),
-            "growth": [_told(change) for change in self.changed],
-            "unchanged": [_told(change) for change in size.changes if change.verdict not in CHANGED],
+            "growth": [_change_dict(change) for change in self.changed],
+            "unchanged": [_change_dict(change) for change in size.changes if change.verdict not in CHANGED],
             "ovality": {
                 "definition": "ASTM F1216, of the pipe's shape without defects",
                 "says": self.ovality_sentence(),
@@ -154,13 +154,13 @@ class Comparison:
     def lines(self) -> list[str]:
         """For a terminal: a line a change, then what may be off."""
         out = [
-            f"{one.verdict:<10} {said(one.growth_mm, MEASURE, one.growth_k2_mm)} at {said(one.z_mm, DISTANCE)}, clock "
-            f"{one.clock_deg:.0f}°: {said(one.depth_first_mm, MEASURE)} then, {said(one.depth_second_mm, MEASURE)} now"
-            f"{one.called and f'; {one.called}'}"
+            f"{one.verdict:<10} {quoted(one.growth_mm, MEASURE, one.growth_k2_mm)} at {quoted(one.z_mm, DISTANCE)}, "
+            f"clock {one.clock_deg:.0f}°: {quoted(one.depth_first_mm, MEASURE)} then, "
+            f"{quoted(one.depth_second_mm, MEASURE)} now{one.called and f'; {one.called}'}"
             for one in self.changed
         ]
         out += [
-            f"{'listed':<10} {one.called} at {said(one.z_mm, DISTANCE)}, clock {one.clock_deg:.0f}°: {one.verdict}"
+            f"{'listed':<10} {one.called} at {quoted(one.z_mm, DISTANCE)}, clock {one.clock_deg:.0f}°: {one.verdict}"
             + (f", within ± {off(one.growth_k2_mm, MEASURE)}" if one.verdict is Verdict.SAME else "")
             for one in self.growth.changes
             if one.called and one.verdict not in CHANGED
@@ -216,7 +216,7 @@ def _about(wall: WallMap) -> dict[str, Any]:
     }
 
 
-def _told(one: Change) -> dict[str, Any]:
+def _change_dict(one: Change) -> dict[str, Any]:
     return {
         "z_mm": _number(one.z_mm, 1),
         "clock_deg": _number(one.clock_deg, 1),

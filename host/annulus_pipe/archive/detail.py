@@ -119,7 +119,7 @@ def _rows_fitted(
 
 
 def _medians(rows: FloatArray, counted: BoolArray) -> FloatArray:
-    """(Z,) of what is counted in each row; 0 where nothing is."""
+    """(Z,) median of the counted values of each row; 0 where none is counted."""
     ordered = np.sort(np.where(counted, rows, np.nan), axis=1)
     return np.asarray(np.nan_to_num(ordered[np.arange(len(rows)), np.maximum(counted.sum(axis=1) - 1, 0) // 2]))
 

@@ -76,7 +76,7 @@ class Laid:
 
     @property
     def lost(self) -> BoolArray:
-        """(Z,) rows of which nobody knows what lies on what."""
+        """(Z,) rows where the two scans could not be laid together."""
         return np.asarray(self.sigma_z > LOST_MM)
 
     def difference(self, floors: Sequence[Floor] = ()) -> Difference:

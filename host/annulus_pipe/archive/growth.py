@@ -109,13 +109,13 @@ def grown(
     least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
     changed = search.floors(LEAST_MM)
     progress(what, 4, 5)
-    changes, told, between = [], [], []
+    changes, covered, between = [], [], []
     pairs = _pairs(defects)
     for one, other in pairs:
         if abs(one.z_mm - other.z_mm) > DISPLACED_MM:
             changes.append(_by_heights(one, other))
-            told += [one, other]
-    changed = [floor for floor in changed if not any(one.holds(floor.z_mm, floor.clock_deg, 1.5) for one in told)]
+            covered += [one, other]
+    changed = [floor for floor in changed if not any(one.holds(floor.z_mm, floor.clock_deg, 1.5) for one in covered)]
     for floor in changed:
         k2 = _k2(floor.sigma_mm, floor.height_mm)
         if abs(floor.height_mm) <= max(LEAST_MM, k2):
@@ -128,25 +128,25 @@ def grown(
         before = _height(difference.first, difference, floor)
         after = before + floor.height_mm
         changes.append(_change(floor, before, after, floor.height_mm, k2, _verdict(before, after)))
-        told.append(floor)
+        covered.append(floor)
     for one, other in pairs:  # steep ones, of which the difference is mostly what lies between rows
         if any(one.holds(floor.z_mm, floor.clock_deg) for floor in between) and not any(
-            floor.holds(one.z_mm, one.clock_deg) or one.holds(floor.z_mm, floor.clock_deg) for floor in told
+            floor.holds(one.z_mm, one.clock_deg) or one.holds(floor.z_mm, floor.clock_deg) for floor in covered
         ):
             change = _by_heights(one, other)
             own = _along(difference.grown, difference.sigma, difference, one)[0]
             if change.verdict in CHANGED and own * np.sign(change.growth_mm) > LEAST_MM / 2:
                 changes.append(change)
-                told += [one, other]
+                covered += [one, other]
     for year, floor in (*defects, *listed):
-        if not any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
-            alone = all(abs(one.z_mm - floor.z_mm) > one.length_mm / 2 for one in told)
+        if not any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in covered):
+            alone = all(abs(one.z_mm - floor.z_mm) > one.length_mm / 2 for one in covered)
             lost = bool(laid.lost[int(np.argmin(np.abs(difference.z_mm - floor.z_mm)))])
             change = _unchanged(difference, floor, year, alone, Verdict.UNDECIDED if lost else Verdict.UNSEEN)
             if _torn(floor, defects, laid.torn_mm) and change.verdict is not Verdict.UNSEEN:
                 change = replace(change, growth_mm=np.nan, growth_k2_mm=np.nan, verdict=Verdict.UNDECIDED)
             changes.append(change)
-            told.append(floor)
+            covered.append(floor)
     progress(what, 5, 5)
     seen = np.isfinite(difference.grown)
     known = least[np.isfinite(least) & seen]
@@ -241,8 +241,8 @@ def _verdict(before: float, after: float) -> Verdict:
 
 
 def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool, otherwise: Verdict) -> Change:
-    """A defect of the second (year 0) or the first alone: what its own shape says of growth; `otherwise` where nothing
-    does."""
+    """A defect of the second (year 0) or the first alone: its growth by its own shape, or the
+    verdict `otherwise` where too little of it was seen to tell."""
     growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
     before, after = _height(difference.first, difference, floor), _height(difference.second, difference, floor)
     if share < SEEN_MIN:

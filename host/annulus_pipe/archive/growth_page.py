@@ -19,7 +19,18 @@ from annulus_pipe.archive.comparison import Comparison
 from annulus_pipe.archive.growth import CHANGED, Change
 from annulus_pipe.archive.ovality import Ovality
 from annulus_pipe.numeric import palette
-from annulus_pipe.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, SHARE, clock_face, digits_k2, off, said, span
+from annulus_pipe.numeric.rounding import (
+    ARC,
+    DISTANCE,
+    EXTENT,
+    MEASURE,
+    SHARE,
+    clock_face,
+    digits_k2,
+    off,
+    quoted,
+    span,
+)
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.untrusted import printable
 from annulus_pipe.vocabulary import AnnulusError
@@ -160,7 +171,7 @@ def render(comparison: Comparison) -> str:
         slips=len(aligned.slips),
         sure=f"{aligned.sure:.0f}",
         overlap=span(first, last, DISTANCE),
-        seen=said(100 * size.seen_fraction, SHARE),
+        seen=quoted(100 * size.seen_fraction, SHARE),
         least=off(size.least_median_mm, MEASURE),
         least_worst=off(size.least_p95_mm, MEASURE),
         created=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
@@ -169,17 +180,17 @@ def render(comparison: Comparison) -> str:
 
 
 def _row(one: Change, number: int | None) -> dict[str, object]:
-    growth = said(one.growth_mm, MEASURE, one.growth_k2_mm)
+    growth = quoted(one.growth_mm, MEASURE, one.growth_k2_mm)
     if one.verdict not in CHANGED and math.isfinite(one.growth_k2_mm):
         growth = f"within ± {digits_k2(one.growth_k2_mm, MEASURE)} mm"
     return {
         "number": number or "",
-        "z": said(one.z_mm, DISTANCE),
+        "z": quoted(one.z_mm, DISTANCE),
         "clock": clock_face(one.clock_deg),
         "growth": growth,
-        "then": said(one.depth_first_mm, MEASURE),
-        "now": said(one.depth_second_mm, MEASURE),
-        "size": f"{said(one.length_mm, EXTENT)} × {said(one.arc_deg, ARC)}",
+        "then": quoted(one.depth_first_mm, MEASURE),
+        "now": quoted(one.depth_second_mm, MEASURE),
+        "size": f"{quoted(one.length_mm, EXTENT)} × {quoted(one.arc_deg, ARC)}",
         "verdict": str(one.verdict),
         "changed": one.verdict in CHANGED,
         "first": one.first,

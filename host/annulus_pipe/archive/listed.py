@@ -16,7 +16,7 @@ from annulus_pipe.archive.floors import SHAPE, Floor
 from annulus_pipe.archive.growth import LEAST_MM, Change, Verdict
 from annulus_pipe.archive.ovality import Ovality
 from annulus_pipe.archive.wall_map import WallMap
-from annulus_pipe.record.results_folder import SUMMARY, Place, places, read_summary, told
+from annulus_pipe.record.results_folder import SUMMARY, Place, places, read_summary, unreadable
 
 SLACK_DEG = 5.0  # round, beside half an arc, by which two programs see a defect's middle otherwise
 OVAL, BUMP = "ovality", "bump"  # kinds, as a summary calls them
@@ -52,7 +52,7 @@ def read_listed(folder: Path) -> tuple[Place, ...]:
     try:
         return places(read_summary(folder), "defects")
     except (OSError, ValueError) as error:
-        raise told(folder / SUMMARY, error) from None
+        raise unreadable(folder / SUMMARY, error) from None
 
 
 def laid_out(first: Sequence[Place], second: Sequence[Place], wall: WallMap, alignment: Alignment) -> list[Listed]:
@@ -97,19 +97,19 @@ def _floor(one: Place) -> Floor:
 def named(changes: Sequence[Change], listed: Sequence[Listed], oval: Ovality, radius_mm: float) -> tuple[Change, ...]:
     """All changes with the names of the listed defects that lie there, and one more for what no change of the wall's
     detail can tell of: ovality, by its stations; what goes all round; what lies beyond the first's ends."""
-    told: list[tuple[Change, tuple[list[str], list[str]]]] = [(change, ([], [])) for change in changes]
+    rows: list[tuple[Change, tuple[list[str], list[str]]]] = [(change, ([], [])) for change in changes]
     apart: list[tuple[Listed, int]] = []
     for one in listed:
-        at = [] if one.all_round else [k for k in range(len(changes)) if one.lies_at(told[k][0])]
+        at = [] if one.all_round else [k for k in range(len(changes)) if one.lies_at(rows[k][0])]
         if not at:
-            at = [k for other, k in apart if (other.year, other.kind) == (0, one.kind) and one.lies_at(told[k][0])][:1]
+            at = [k for other, k in apart if (other.year, other.kind) == (0, one.kind) and one.lies_at(rows[k][0])][:1]
         if not at:
-            at = [len(told)]
+            at = [len(rows)]
             apart.append((one, at[0]))
-            told.append((_of_ovality(one, oval, radius_mm) if one.kind == OVAL else _untold(one), ([], [])))
+            rows.append((_of_ovality(one, oval, radius_mm) if one.kind == OVAL else _untold(one), ([], [])))
         for k in at:
-            told[k][1][one.year].append(one.name)
-    whole = [replace(change, first=" ".join(mine), second=" ".join(theirs)) for change, (mine, theirs) in told]
+            rows[k][1][one.year].append(one.name)
+    whole = [replace(change, first=" ".join(mine), second=" ".join(theirs)) for change, (mine, theirs) in rows]
     return tuple(sorted(whole, key=lambda change: change.z_mm))
 
 

@@ -157,11 +157,11 @@ def _believed(name: str, arrays: Mapping[str, NDArray[Any]]) -> WallMap:
             raise ValueError("clock_deg is not even round the pipe")
     roll = np.full(rows, np.nan)
     if "imu_roll_deg" in arrays:
-        said = arrays["imu_roll_deg"]
-        if said.shape != (rows,) or said.dtype.kind != "f" or said.dtype.itemsize > 8:
+        recorded = arrays["imu_roll_deg"]
+        if recorded.shape != (rows,) or recorded.dtype.kind != "f" or recorded.dtype.itemsize > 8:
             raise ValueError("imu_roll_deg is not a number a row")
         with np.errstate(invalid="ignore"):  # a NaN that signals
-            roll = said.astype(np.float64)
+            roll = recorded.astype(np.float64)
         roll[~(np.abs(roll) < ROLL_DEG)] = np.nan
     away = deviation.astype(np.float32)
     away /= np.float32(1000)

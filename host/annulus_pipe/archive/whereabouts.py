@@ -60,14 +60,14 @@ def find(
     rows = min(max(round(STRETCH_MM / size), 8), len(other.cells), len(one.cells))
     starts = list(range(0, len(other.cells) - rows + 1, max(round(EVERY_MM / size), 1)))
     seeds = starts if len(starts) <= SEEDS else starts[:: -(-len(starts) // SEEDS)]
-    told: dict[int, list[Stretch]] = {}
+    candidates: dict[int, list[Stretch]] = {}
 
     def look(which: Sequence[int], near: Callable[[float], tuple[float, float]] | None) -> list[Stretch]:
         for start in which:
-            if start not in told:
-                progress(len(told), len(starts))
-                told[start] = _candidates(first, second, one, other, start, rows, size, near)
-        return _chain([told[start] for start in sorted(told)], with_sensor)
+            if start not in candidates:
+                progress(len(candidates), len(starts))
+                candidates[start] = _candidates(first, second, one, other, start, rows, size, near)
+        return _chain([candidates[start] for start in sorted(candidates)], with_sensor)
 
     chain = look(seeds, None)
     if len(seeds) < len(starts) and len(chain) > 2:
@@ -145,15 +145,15 @@ def _candidates(
     usual = max(float(np.median(there)), 1e-6)
     alike = product / np.sqrt(energy * np.maximum(there, 0.3 * usual))[:, None]
     chance = max(robust_sigma(alike.ravel()), 1e-6)
-    said = np.minimum(0.5 * (alike / chance) * np.abs(alike / chance), MOST)
-    said -= _against(one.oval[low:high], other.oval[start : start + rows], lags, columns) * share[:, None]
+    evidence = np.minimum(0.5 * (alike / chance) * np.abs(alike / chance), MOST)
+    evidence -= _against(one.oval[low:high], other.oval[start : start + rows], lags, columns) * share[:, None]
     out = []
-    peak = (said == maximum_filter(said, (5, 9), mode=("nearest", "wrap"))) & (said > 0)
+    peak = (evidence == maximum_filter(evidence, (5, 9), mode=("nearest", "wrap"))) & (evidence > 0)
     where = np.argwhere(peak)
-    for lag, turn in where[np.argsort(-said[tuple(where.T)])][:CANDIDATES]:
+    for lag, turn in where[np.argsort(-evidence[tuple(where.T)])][:CANDIDATES]:
         roll = (turn * 360.0 / columns + 180.0) % 360.0 - 180.0
         place = first.first_mm + (low + lags[lag] + rows / 2) * size
-        out.append(Stretch(middle, place, roll, float(said[lag, turn]) - CHANCE))
+        out.append(Stretch(middle, place, roll, float(evidence[lag, turn]) - CHANCE))
     return out
 
 
@@ -172,9 +172,9 @@ def _against(one: ComplexArray, other: ComplexArray, lags: IntArray, columns: in
     return np.asarray(np.clip(off / np.maximum(high - low, 1)[:, None] / OVAL_MM**2, 0.0, OVAL_MOST))
 
 
-def _chain(told: Sequence[Sequence[Stretch]], with_sensor: bool) -> list[Stretch]:
+def _chain(candidates: Sequence[Sequence[Stretch]], with_sensor: bool) -> list[Stretch]:
     """The chain of stretches that says most, at most one of each candidates' list."""
-    every = [(k, one) for k, some in enumerate(told) for one in some]
+    every = [(k, one) for k, some in enumerate(candidates) for one in some]
     if not every:
         return []
     order = np.array([k for k, _ in every])

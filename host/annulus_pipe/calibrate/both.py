@@ -102,9 +102,9 @@ def save_both(result: BothCameras, path: Path) -> bool:
         {"id": number, **camera_to_dict(one.camera), **place}
         for number, (one, place) in enumerate(zip(result.cameras, (still, stands), strict=True))
     ]
-    told = [{key: value for key, value in one.to_dict().items() if key != "camera"} for one in result.cameras]
+    details = [{key: value for key, value in one.to_dict().items() if key != "camera"} for one in result.cameras]
     target = {"camera": 1, **stands, "covariance": result.placed.covariance.tolist()}
-    made = {"by": "annulus calibrate camera", "cameras": told, **result.to_dict()}
+    made = {"by": "annulus calibrate camera", "cameras": details, **result.to_dict()}
     kept = update_calibration(path, {"cameras": cameras, "target_placement": target}, {"cameras": made})
     return "rings" in kept
 

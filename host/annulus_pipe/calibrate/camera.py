@@ -269,10 +269,10 @@ def save_camera(result: CameraCalibration, path: Path, sensor_crop: tuple[int, i
 
     sensor_crop : what the photographs show of the sensor, where that is known.
     """
-    told = result.to_dict()
-    del told["camera"]
+    details = result.to_dict()
+    del details["camera"]
     section = camera_to_dict(replace(result.camera, sensor_crop=sensor_crop))
-    kept = update_calibration(path, {"camera": section}, {"camera": {"by": "annulus calibrate camera", **told}})
+    kept = update_calibration(path, {"camera": section}, {"camera": {"by": "annulus calibrate camera", **details}})
     return "rings" in kept
 
 

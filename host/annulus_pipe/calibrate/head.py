@@ -96,8 +96,10 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
             held = None
     marks["hold out"] = time.process_time()
     calibration = _calibration(cameras, colours, solution, radius_mm)
-    told = [disagreement(target, one.id, n, solution) for n, one in enumerate(cameras[1:]) if target is not None]
-    compared = tuple(one for one in told if one is not None)
+    disagreements = [
+        disagreement(target, one.id, n, solution) for n, one in enumerate(cameras[1:]) if target is not None
+    ]
+    compared = tuple(one for one in disagreements if one is not None)
     full = over_exposed(contour for found in contours for contour in found.values())
     warnings = warn(solution, held, indices, radius_mm, None, None, exposures, full)
     for one, found in zip(cameras, contours, strict=True):

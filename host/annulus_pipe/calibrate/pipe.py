@@ -44,8 +44,8 @@ WAVES = 8.0  # neighbouring errors alike: noise makes 3
 CLIPPED_SOME = 0.02  # of the stripes at full scale: enough to bend a ring by the tenth of a pixel that makes waves
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 CLIPPED_HERE = 0.75  # of the stripes at full scale: rings then come out hundredths of a degree off
-NEARLY_FLAT = math.radians(8.0)  # from a plane: then it is tried as one, ..
-FLAT_FITS = 1.05  # .. which it is where it fits as well but for this
+NEARLY_FLAT = math.radians(8.0)  # from a plane: a cone so flat is fitted as a plane too, ..
+FLAT_FITS = 1.05  # .. and is one if the plane's misfit is at most this many times the cone's
 OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
 
 LINES_REMARK = (
@@ -245,9 +245,9 @@ def check_radius(radius_mm: float) -> None:
 
 def save_pipe(result: PipeCalibration, out: Path) -> None:
     """Write rings, pattern, camera and pipe into `out`; other sections in it stay."""
-    data, told = result.calibration.to_dict(), result.to_dict()
+    data, figures = result.calibration.to_dict(), result.to_dict()
     made = {
-        key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
+        key: figures[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
     }
     kept = "camera" if "camera" in data else "cameras"
     sections = {key: data[key] for key in (kept, "pattern", "rings", "pipe", "covariance")}

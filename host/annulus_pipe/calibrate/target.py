@@ -222,16 +222,16 @@ def calibrate_target(
 
 def save_target(result: TargetCalibration, camera: Mapping[str, Any], radius_mm: float | None, path: Path) -> None:
     """Write `camera`, `pattern`, `rings`, `covariance` and, if given, `pipe`."""
-    told = result.to_dict()
+    figures = result.to_dict()
     sections: dict[str, Any] = {
         "camera": dict(camera),
         "pattern": {"colours": result.colours},
-        "rings": told.pop("rings"),
+        "rings": figures.pop("rings"),
         "covariance": result.fit.covariance.tolist(),
     }
     if radius_mm is not None:
         sections["pipe"] = {"radius_mm": radius_mm}
-    update_calibration(path, sections, {"rings": {"by": "annulus calibrate target", **told}})
+    update_calibration(path, sections, {"rings": {"by": "annulus calibrate target", **figures}})
 
 
 def _pairs(scan: Scan) -> list[tuple[int, int]]:

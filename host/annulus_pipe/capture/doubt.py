@@ -124,7 +124,7 @@ class Doubt:
         A picture of this doubt that is against this way makes the run longer: in a preamble any four may fit by chance.
         """
         run: list[tuple[Glimpse, int]] = []
-        told, ended = 0, False
+        others, ended = 0, False
         for glimpse in reversed(self._glimpses):
             ordinal = way(glimpse)
             if ordinal is None or (self._taken is not None and ordinal <= self._taken):
@@ -138,7 +138,7 @@ class Doubt:
             )
             if not ended:
                 run.append((glimpse, ordinal))
-                told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
+                others += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
         if len(run) < length:
             return None
         if way in _MOVED and self._may_be_right(run):
@@ -148,7 +148,7 @@ class Doubt:
             return self._what_it_says(run[::-1], way, why) if alone else None
         if (
             shown
-            and not told
+            and not others
             and self._other_lamp_before(run[0][1])
             and not (way in _TWO and self._fits_nowhere_else(run, ELSEWHERE))
             and not (way is _stamp_and_arrival and self._counts_no_edge(run))

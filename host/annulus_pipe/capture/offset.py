@@ -130,7 +130,7 @@ class OffsetTrack:
 def telling(frames: Iterable[FrameSeen]) -> list[FrameSeen]:
     """Those whose pictures say what lit them: whole, clear, and not seen before."""
     met: set[int] = set()
-    told = []
+    chosen = []
     for frame in frames:
         picture = frame.picture
         if picture.light is not Light.DARK and picture.fingerprint is not None:
@@ -138,8 +138,8 @@ def telling(frames: Iterable[FrameSeen]) -> list[FrameSeen]:
                 continue
             met.add(picture.fingerprint)
         if picture.light in CLEAR and not picture.torn:
-            told.append(frame)
-    return told
+            chosen.append(frame)
+    return chosen
 
 
 def calibrate_offset(

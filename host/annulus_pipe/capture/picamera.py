@@ -244,7 +244,7 @@ def configure(
     """
     period_us = round(1e6 / fps)
     known, bayer = camera.camera_controls, stream == "raw"
-    told: dict[str, Any] = {
+    controls: dict[str, Any] = {
         "AeEnable": False,
         "FrameDurationLimits": (period_us, period_us),
         "ExposureTime": round(exposure_us),
@@ -257,7 +257,7 @@ def configure(
         "Saturation": 1.0,
         "Brightness": 0.0,
     }
-    told = {name: value for name, value in told.items() if name in known and value is not None}
+    controls = {name: value for name, value in controls.items() if name in known and value is not None}
     if bayer:
         mode = _mode_of(camera, size)
         small = (size[0] // 4 // 2 * 2, size[1] // 4 // 2 * 2)  # of what the ISP must make and nobody looks at
@@ -265,7 +265,7 @@ def configure(
             main={"size": small},
             raw={"size": size, "format": mode},
             buffer_count=BUFFERS,
-            controls=told,
+            controls=controls,
             sensor={"output_size": size, "bit_depth": Mosaic.named(mode).bits},
             display=None,
             encode=None,
@@ -275,7 +275,7 @@ def configure(
             main={"size": size, "format": stream},
             raw={"size": size},
             buffer_count=BUFFERS,
-            controls=told,
+            controls=controls,
             sensor={"output_size": size},
             display=None,
             encode=None,
@@ -286,7 +286,7 @@ def configure(
     given = tuple(got["raw" if bayer else "main"]["size"])
     if given != size:
         raise AnnulusError(f"camera: Picamera2 gives {given[0]}x{given[1]}, asked for {size[0]}x{size[1]}")
-    configured = PicameraCamera(camera, told)
+    configured = PicameraCamera(camera, controls)
     shown = configured.sensor_crop
     if sensor_crop is not None and shown is not None and shown != tuple(sensor_crop):
         raise AnnulusError(
@@ -326,13 +326,13 @@ def require_controls(expected: Mapping[str, Any], metadata: Mapping[str, Any]) -
     """Raises AnnulusError naming what the sensor does otherwise than it was told; what it does not report passes."""
     for control, wanted in expected.items():
         name = READ_OF.get(control, control)
-        told = metadata.get(name)
-        if name not in TOLERANCES or told is None:
+        reported = metadata.get(name)
+        if name not in TOLERANCES or reported is None:
             continue
         slack = EXPOSURE_STEP_US if name == "ExposureTime" else 0.0
-        pairs = zip(_several(wanted), _several(told), strict=False)
+        pairs = zip(_several(wanted), _several(reported), strict=False)
         if any(abs(says - wants) > TOLERANCES[name] * abs(wants) + slack for wants, says in pairs):
-            raise AnnulusError(f"camera: {name} is {told}, it was told {wanted}. Is another sensor mode in force?")
+            raise AnnulusError(f"camera: {name} is {reported}, it was told {wanted}. Is another sensor mode in force?")
 
 
 def _shown_of_the_sensor(camera: Any) -> tuple[int, int, int, int] | None:

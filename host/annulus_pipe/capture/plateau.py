@@ -128,7 +128,7 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
     wide = min(width_us, np.floor(widest))
     delay = float(np.clip(delay_us, np.ceil(tight[0]), max(np.ceil(tight[0]), np.floor(tight[1] - wide))))
     seen_us = f"all rows see {opens:.0f}..{closes:.0f} us"
-    said = f"head.toml says {timing.opens_us:.0f}..{timing.closes_us:.0f} us"
+    configured = f"head.toml says {timing.opens_us:.0f}..{timing.closes_us:.0f} us"
     kept = delay == delay_us and wide == width_us
     return Proposal(
         delay,
@@ -140,7 +140,7 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
         fit.readout if opens_k2 is not None or closes_k2 is not None else None,
         widest,
         (timing.opens_us, timing.closes_us),
-        f"{seen_us}, {said}: "
+        f"{seen_us}, {configured}: "
         + (
             "the flash in force fits"
             if kept

@@ -89,16 +89,16 @@ class RemoteCamera(OneRequest):
     def capture_request(self) -> Request:
         """Wait for the next frame. Raises TimeoutError when none comes, AnnulusError when the server is gone."""
         try:
-            told = self._socket.recv(MESSAGE_MAX)
+            message = self._socket.recv(MESSAGE_MAX)
         except TimeoutError:
             raise TimeoutError(f"{self.address}: no frame within {self._timeout_s:g} s") from None
         except OSError:
-            told = b""
-        if not told:
+            message = b""
+        if not message:
             raise AnnulusError(f"{self.address}: the camera went away")
         size = int(np.prod(self._shape))
         try:
-            metadata = dict(untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "frame"))
+            metadata = dict(untrusted.mapping(untrusted.parse_json(message, MESSAGE_MAX), "frame"))
             slot = untrusted.whole(metadata.pop("slot", None), "slot", 0, len(self._memory) // size - 1)
         except ValueError as error:
             raise AnnulusError(f"{self.address}: what came is no frame: {error}") from None
@@ -121,9 +121,9 @@ class RemoteCamera(OneRequest):
         that the camera did not send in between as missing.
         """
         with contextlib.suppress(OSError):  # nothing waits; one that is gone shows when it is told to start
-            while told := self._socket.recv(MESSAGE_MAX, socket.MSG_DONTWAIT):
+            while message := self._socket.recv(MESSAGE_MAX, socket.MSG_DONTWAIT):
                 with contextlib.suppress(ValueError):
-                    frame = untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "frame")
+                    frame = untrusted.mapping(untrusted.parse_json(message, MESSAGE_MAX), "frame")
                     self._say({"do": "release", "slot": frame.get("slot")})
 
     def _say(self, what: Mapping[str, Any]) -> None:

@@ -83,7 +83,7 @@ class V4L2Camera(OneRequest):
             device.call(v4l2.STREAMON, c_int(v4l2.CAPTURE))
         except OSError as error:
             self.close()
-            raise self._said(error, "does not begin to stream") from None
+            raise self._explained(error, "does not begin to stream") from None
 
     def stop(self) -> None:
         self.close()
@@ -118,7 +118,7 @@ class V4L2Camera(OneRequest):
                     continue
                 raise AnnulusError(f"{self._path}: stopped streaming") from None
             except OSError as error:
-                raise self._said(error, "stopped streaming") from None
+                raise self._explained(error, "stopped streaming") from None
             metadata = self._metadata(buffer)
             if image is not None and metadata is not None:
                 return HeldRequest(image, {**metadata, "ArrivalTimestamp": arrived_ns})
@@ -156,7 +156,7 @@ class V4L2Camera(OneRequest):
                 raise AnnulusError(f"{self._path}: not a camera but a file or folder. `ls /dev/video*` lists cameras.")
             self._device = device = v4l2.Device(self._path)
         except OSError as error:
-            raise self._said(error, "cannot be opened") from None
+            raise self._explained(error, "cannot be opened") from None
         self._poll.register(device.fd, select.POLLIN)
         try:
             self._require_camera(device)
@@ -164,7 +164,7 @@ class V4L2Camera(OneRequest):
             self._set_rate(device)
         except OSError as error:
             self.close()
-            raise self._said(error, "cannot be set up") from None
+            raise self._explained(error, "cannot be set up") from None
         except AnnulusError:
             self.close()
             raise
@@ -172,16 +172,18 @@ class V4L2Camera(OneRequest):
 
     def _require_camera(self, device: v4l2.Device) -> None:
         try:
-            said = device.call(v4l2.QUERYCAP, v4l2.Capability())
+            capability = device.call(v4l2.QUERYCAP, v4l2.Capability())
         except OSError as error:
             if error.errno in (errno.ENOTTY, errno.EINVAL):
                 raise AnnulusError(f"{self._path}: not a camera: no V4L2 device") from None
             raise
-        can = said.device_caps if said.capabilities & v4l2.CAP_DEVICE_CAPS else said.capabilities
+        can = capability.device_caps if capability.capabilities & v4l2.CAP_DEVICE_CAPS else capability.capabilities
         if not can & v4l2.CAP_VIDEO_CAPTURE:
-            raise AnnulusError(f"{self._path}: not a camera: {said.card.decode(errors='replace')} gives no video here")
+            raise AnnulusError(
+                f"{self._path}: not a camera: {capability.card.decode(errors='replace')} gives no video here"
+            )
         if not can & v4l2.CAP_STREAMING:
-            raise AnnulusError(f"{self._path}: the driver {said.driver.decode(errors='replace')} does not stream")
+            raise AnnulusError(f"{self._path}: the driver {capability.driver.decode(errors='replace')} does not stream")
 
     def _set_format(self, device: v4l2.Device) -> None:
         """Format and both sides in one call: a driver with a list of sizes takes none of them alone."""
@@ -306,7 +308,7 @@ class V4L2Camera(OneRequest):
             got = device.set(id, round(wanted))
         except OSError as error:
             if error.errno not in (errno.ERANGE, errno.EINVAL):
-                raise self._said(error, f"does not take its {what}") from None
+                raise self._explained(error, f"does not take its {what}") from None
             got = device.call(v4l2.G_CTRL, v4l2.Control(id)).value
         if abs(got - wanted) > max(0.5, 0.01 * abs(wanted)):
             raise AnnulusError(
@@ -331,7 +333,7 @@ class V4L2Camera(OneRequest):
             return self._started.set(id, value) == value
         except OSError as error:
             if error.errno not in (errno.ERANGE, errno.EINVAL):
-                raise self._said(error, "does not take a control") from None
+                raise self._explained(error, "does not take a control") from None
             return False
 
     def _change_rate(self, fps: float) -> None:
@@ -345,7 +347,7 @@ class V4L2Camera(OneRequest):
 
     # ---- errors ----
 
-    def _said(self, error: OSError, doing: str) -> AnnulusError:
+    def _explained(self, error: OSError, doing: str) -> AnnulusError:
         """What the system said, in a line that tells what to do."""
         match error.errno:
             case errno.ENOENT:

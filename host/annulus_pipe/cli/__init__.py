@@ -10,26 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus_pipe.cli import (
-    archive,
-    bore,
-    burst,
-    calibrate,
-    doctor,
-    firmware,
-    head,
-    joint,
-    pattern,
-    record,
-    reference,
-    selftest,
-    tai,
-    twin,
-)
+from annulus_pipe.cli import archive, calibrate, doctor, firmware, head, pattern, record, reference, selftest, twin
 from annulus_pipe.cli import console as console_page
-from annulus_pipe.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus_pipe.cli.export import export
-from annulus_pipe.cli.fringe import BY, By
 from annulus_pipe.cli.manual import docs
 from annulus_pipe.cli.pdf import Sheet, on_paper
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
@@ -43,6 +26,12 @@ from annulus_pipe.cli.tune import tune
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore import commands as bore
+from annulus_pipe.wings.fringe.words import BY, By
+from annulus_pipe.wings.joints import commands as joint
+from annulus_pipe.wings.joints import dogbone_commands as dogbones  # noqa: F401
+from annulus_pipe.wings.tai import burst_commands as burst
+from annulus_pipe.wings.tai import commands as tai
 
 if TYPE_CHECKING:
     from annulus_pipe.job import JobSheet
@@ -57,8 +46,23 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, reference, pattern, tai, joint, bore, archive, firmware, selftest, twin, record):
-    app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+_NOUNS = {
+    "head": head,
+    "burst": burst,
+    "calibrate": calibrate,
+    "reference": reference,
+    "pattern": pattern,
+    "tai": tai,
+    "joint": joint,
+    "bore": bore,
+    "archive": archive,
+    "firmware": firmware,
+    "selftest": selftest,
+    "twin": twin,
+    "record": record,
+}
+for _name, _noun in _NOUNS.items():
+    app.add_typer(_noun.app, name=_name)
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
 app.command(epilog=REPROCESS_EXAMPLE)(reprocess)
@@ -150,7 +154,7 @@ def reconstruct(
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
-    told: Annotated[
+    show_as: Annotated[
         Bars,
         typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
     ] = Bars.BAR,
@@ -185,19 +189,19 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, told, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, show_as, as_json)
         else:
             for option, named in (("--job", job), ("--limits", limits)):
                 if named:
                     raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
-            _reconstruct_fringe(scan, calibration, out, by, printed, told, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, printed, show_as, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
     origin = origin_of(work.scan, calibration, sheet)
     look_at(work)  # what is refused is refused before loops are compiled
     prepare_folder(out)
     make_ready(work.calibration, tell)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         place, beside = Place(out.absolute()), Told(str(scan), origin, criteria)
         done = surveyed(
             work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
@@ -222,7 +226,7 @@ def _reconstruct_fringe_pipe(
     sheet: "JobSheet",
     criteria: "Criteria | None",
     printed: "Paper | None",
-    told: Bars,
+    show_as: Bars,
     as_json: bool,
 ) -> None:
     from annulus_pipe.record.origin import origin_of
@@ -233,7 +237,7 @@ def _reconstruct_fringe_pipe(
     job = open_fringe_pipe(scan, calibration)
     origin = origin_of(job.scan, calibration, sheet)
     prepare_folder(out)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
@@ -264,15 +268,15 @@ def _reconstruct_fringe_pipe(
 
 
 def _reconstruct_fringe(
-    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", told: Bars, as_json: bool
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", show_as: Bars, as_json: bool
 ) -> None:
-    from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, said, span
+    from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
     from annulus_pipe.report import Account, prepare_folder, write_plate
     from annulus_pipe.reprocess import open_fringe, reconstruct_fringe
 
     job = open_fringe(scan, calibration, "cameras" if by is By.CAMERAS else "slide")
     prepare_folder(out)
-    with progress(told) as bars:
+    with progress(show_as) as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
@@ -285,14 +289,14 @@ def _reconstruct_fringe(
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
     print(
-        f"motion     {said(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
-        f"{said(places['off_odometer_mm'], MEASURE)} off what the frames say"
+        f"motion     {quoted(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
+        f"{quoted(places['off_odometer_mm'], MEASURE)} off what the frames say"
     )
-    print(f"points     {summary['points']}, {said(100 * summary['completeness'], SHARE)} of what the slide lit")
+    print(f"points     {summary['points']}, {quoted(100 * summary['completeness'], SHARE)} of what the slide lit")
     if height["median"] is None:
         print("height     not measured: of no place could a height be told")
     else:
-        print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
+        print(f"height     {span(height['min'], height['max'], MEASURE)}, median {quoted(height['median'], MEASURE)}")
         median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
         print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
     for reason, cells in summary["untold"].items():
@@ -306,31 +310,31 @@ HOLES_PRINTED = 10  # the largest; the report has all
 
 
 def _print_summary(data: Mapping[str, Any], out: Path) -> None:
-    from annulus_pipe.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, said, span
+    from annulus_pipe.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, quoted, span
 
     def where(one: Mapping[str, Any]) -> str:
-        return f"at {said(one['z_mm'], DISTANCE)}, clock {one['clock']}"
+        return f"at {quoted(one['z_mm'], DISTANCE)}, clock {one['clock']}"
 
     diameter = data["diameter_mm"]
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")
     if diameter["mean"] is not None:
         between = span(diameter["min"], diameter["max"], MEASURE)
-        print(f"diameter   {said(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
+        print(f"diameter   {quoted(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
     if data.get("scale"):
         print(f"scale      {data['scale']['anchor']}")
     print(f"points     {data['points']}")
     for d in data["defects"]:
-        depth = said(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
-        hidden = f", {said(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""
-        size = f"{said(d['length_mm'], EXTENT)} long, {said(d['arc_deg'], ARC)}"
+        depth = quoted(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
+        hidden = f", {quoted(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""
+        size = f"{quoted(d['length_mm'], EXTENT)} long, {quoted(d['arc_deg'], ARC)}"
         print(f"{d['kind']:<10} {depth} {where(d)}, {size}{hidden}")
     if not data["defects"]:
         print("defects    none" + (" that is sure" if data["undecided"] else ""))
     for f in data["features"]:
-        at = f"at {said(f['z_mm'], DISTANCE)}, all round"
+        at = f"at {quoted(f['z_mm'], DISTANCE)}, all round"
         if f["arc_deg"] < 360:
-            at = f"{where(f)}, {said(f['arc_deg'], ARC)}"
+            at = f"{where(f)}, {quoted(f['arc_deg'], ARC)}"
         print(f"{f['kind']:<10} {at}" + (f": {f['remark']}" if f["remark"] else ""))
     if "conformity" in data:
         print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
@@ -344,7 +348,7 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
             where_to = f"{span(place['z_from_mm'], place['z_to_mm'], DISTANCE)}, {clock}"
             print(f"           not established: {', '.join(place['limits'])} {where_to}: {place['reason']}")
     for d in data["undecided"]:
-        print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}: {d['why']}")
+        print(f"undecided  {quoted(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}: {d['why']}")
     # with limits they stand among what is not established
     holes = [] if "conformity" in data else [hole for hole in data["not_seen"] if not hole["usual"]]
     holes.sort(key=lambda one: -one["arc_deg"] * (one["z_to_mm"] - one["z_from_mm"]))
@@ -357,7 +361,7 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
         for line in data["vibration"]["lines"]:
             hertz = "" if line["hertz"] is None else f" ({digits(line['hertz'], MEASURE)} Hz)"
             cycles = f"{digits(line['cycles_per_m'], MEASURE)} cycles/m{hertz}"
-            print(f"vibration  {cycles}, {said(line['amplitude_mm'], MEASURE)}, taken out")
+            print(f"vibration  {cycles}, {quoted(line['amplitude_mm'], MEASURE)}, taken out")
         if not data["vibration"]["lines"]:
             print(f"vibration  {data['vibration']['note'] or 'none found'}")
     for warning in data["warnings"]:
@@ -434,8 +438,8 @@ def _is_short_of_memory(error: Exception) -> bool:
     """Whether this is how Python, the system or the loader of libraries says that there is no memory left."""
     if isinstance(error, OSError):
         return error.errno == errno.ENOMEM
-    said = {RuntimeError: "can't start new thread", ImportError: "cannot allocate memory"}
-    return isinstance(error, MemoryError) or said.get(type(error), "\0") in str(error).lower()
+    signs = {RuntimeError: "can't start new thread", ImportError: "cannot allocate memory"}
+    return isinstance(error, MemoryError) or signs.get(type(error), "\0") in str(error).lower()
 
 
 def _run() -> None:

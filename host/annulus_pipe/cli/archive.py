@@ -56,7 +56,7 @@ def add_command(
     refused = [one for one in done if not isinstance(one, Added)]
     added = [one for one in done if isinstance(one, Added)]
     if as_json:
-        told = [
+        surveys = [
             {
                 "survey": one.row["survey"],
                 "new": one.new,
@@ -68,7 +68,7 @@ def add_command(
             }
             for one in added
         ]
-        print(json.dumps({"added": told, "refused": [{"results": str(o.results), "why": o.why} for o in refused]}))
+        print(json.dumps({"added": surveys, "refused": [{"results": str(o.results), "why": o.why} for o in refused]}))
     else:
         for one in added:
             _print_added(one)
@@ -107,7 +107,7 @@ def list_command(
 ) -> None:
     """The surveys of a catalogue, by pipe and date."""
     from annulus_pipe.archive.catalogue import checked, listed
-    from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
+    from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 
     rows, hidden, damage = listed(archive, pipe, _day(since), every)
     wrong = []
@@ -115,12 +115,12 @@ def list_command(
         with progress() as bars:
             wrong = list(checked(archive, bars))
     if as_json:
-        told = [{name: _plain(value) for name, value in row.items()} for row in rows]
-        print(json.dumps({"surveys": told, "superseded": hidden, "damaged": [*_damaged(damage), *wrong]}))
+        surveys = [{name: _plain(value) for name, value in row.items()} for row in rows]
+        print(json.dumps({"surveys": surveys, "superseded": hidden, "damaged": [*_damaged(damage), *wrong]}))
     else:
 
         def known(value: Any, quantity: Any) -> str:
-            return "" if value is None else said(value, quantity)
+            return "" if value is None else quoted(value, quantity)
 
         head = ("survey", "pipe", "date", "site", "scanned", "diameter", "ovality", "defects", "joints and more", "")
         table = [

@@ -98,14 +98,14 @@ def camera(
         _show_camera(result)
     if both is not None:
         x, y, z = both.placed.centre_mm
-        told = both.to_dict()
-        used = sum(one["used"] for one in told["moments"])
+        figures = both.to_dict()
+        used = sum(one["used"] for one in figures["moments"])
         print(f"moments    {used} of {len(pairs)} say where the second camera stands")
         for names in both.left_out:
             print(f"           {names[0]} and {names[1]} LEFT OUT: not of one moment, they contradict the others")
         print(
-            f"second     turned {told['turned_deg']:.3f} +- {told['turned_sigma_deg']:.3f} deg, at {x:.3f} {y:.3f} "
-            f"{z:.3f} +- {max(told['centre_sigma_mm']):.3f} mm from the first"
+            f"second     turned {figures['turned_deg']:.3f} +- {figures['turned_sigma_deg']:.3f} deg, at {x:.3f} "
+            f"{y:.3f} {z:.3f} +- {max(figures['centre_sigma_mm']):.3f} mm from the first"
         )
     if stale:
         print(f"warning    the rings in {out} were measured with the camera before this one: calibrate them again")
@@ -113,7 +113,7 @@ def camera(
 
 
 def _show_camera(result: "CameraCalibration") -> None:
-    told = result.to_dict()
+    figures = result.to_dict()
     for one in result.photographs:
         state = f"{one.rms_px:6.3f} px" if one.rms_px == one.rms_px else "        -"
         odd = f", {one.left_out} left out" if one.left_out else ""
@@ -121,7 +121,7 @@ def _show_camera(result: "CameraCalibration") -> None:
             f"{one.file:<24} {state}  {one.corners:4d} corners{odd}"
             + (f"  REJECTED {one.rejected}" * bool(one.rejected))
         )
-    lens, sigma = result.camera, told["sigma"]
+    lens, sigma = result.camera, figures["sigma"]
     kept = [one for one in result.photographs if not one.rejected]
     own = sum(one.own_origin for one in kept)
     print(f"target     {result.target}{'' if result.target_was_given else ' (found out)'}")
@@ -131,10 +131,10 @@ def _show_camera(result: "CameraCalibration") -> None:
     print(f"centre     {lens.cx:.2f} +- {sigma['cx']:.2f}, {lens.cy:.2f} +- {sigma['cy']:.2f} px")
     print("distortion " + " ".join(f"{value:.5f}" for value in lens.distortion))
     print(
-        f"rms        {told['rms_px']:.3f} px over {told['kept']} of {told['found']} photographs "
-        f"({told['rms_everything_px']:.3f} px with nothing left out)"
+        f"rms        {figures['rms_px']:.3f} px over {figures['kept']} of {figures['found']} photographs "
+        f"({figures['rms_everything_px']:.3f} px with nothing left out)"
     )
-    spread = told["ray_sigma_px"]
+    spread = figures["ray_sigma_px"]
     print(f"rays       known to {spread['median']:.3f} px (median corner), {spread['worst']:.3f} px (worst)")
     print(f"coverage   {100 * result.coverage:.0f} % of the image")
     for warning in result.warnings:
@@ -231,21 +231,23 @@ def reference(
 
     with progress() as bars:
         learnt = calibrate_reference(scan, calibration, radius_mm=radius, progress=bars)
-    told = learnt.reference
-    save_part(out, told.to_dict())
-    figures = {"frames": len(told.poses), "before_mm": told.before_mm, "known_percent": 100 * told.known}
-    if not isnan(told.after_mm):
-        figures["after_mm"] = told.after_mm
+    artefacts = learnt.reference
+    save_part(out, artefacts.to_dict())
+    figures = {"frames": len(artefacts.poses), "before_mm": artefacts.before_mm, "known_percent": 100 * artefacts.known}
+    if not isnan(artefacts.after_mm):
+        figures["after_mm"] = artefacts.after_mm
     if as_json:
         print(json.dumps({**figures, "warnings": list(learnt.warnings), "file": str(out)}))
         return
-    print(f"frames     {len(told.poses)} of {learnt.looked_at} showed the pipe")
-    lean = max(hypot(p.rx, p.ry) for p in told.poses)
-    shift = max(hypot(p.tx, p.ty) for p in told.poses)
+    print(f"frames     {len(artefacts.poses)} of {learnt.looked_at} showed the pipe")
+    lean = max(hypot(p.rx, p.ry) for p in artefacts.poses)
+    shift = max(hypot(p.tx, p.ty) for p in artefacts.poses)
     print(f"poses      up to {degrees(lean):.2f} degrees and {shift:.1f} mm off the axis")
-    after = "unknown after it" if isnan(told.after_mm) else f"{told.after_mm:.3f} mm after it, on frames kept out"
-    print(f"radius     rms {told.before_mm:.3f} mm before the correction, {after}")
-    print(f"seen       {100 * told.known:.1f} % of all directions of all rings; elsewhere nothing is corrected")
+    after = (
+        "unknown after it" if isnan(artefacts.after_mm) else f"{artefacts.after_mm:.3f} mm after it, on frames kept out"
+    )
+    print(f"radius     rms {artefacts.before_mm:.3f} mm before the correction, {after}")
+    print(f"seen       {100 * artefacts.known:.1f} % of all directions of all rings; elsewhere nothing is corrected")
     for warning in learnt.warnings:
         print(f"warning    {warning}")
     print(f"written    {out}")
@@ -291,9 +293,9 @@ def target(
     with progress() as bars:
         result = calibrate_target(scan, lens, stripes, square_mm, bars)
     save_target(result, camera_to_dict(lens), radius, out)
-    told = result.to_dict()
+    figures = result.to_dict()
     if as_json:
-        print(json.dumps({**told, "file": str(out)}))
+        print(json.dumps({**figures, "file": str(out)}))
         return
     for pair in result.pairs:
         if pair.rejected:
@@ -304,12 +306,16 @@ def target(
                 f"{pair.distance_mm:.0f} mm away, {pair.tilt_deg:.0f} deg"
             )
     print("ring  full angle         axis x, y           vertex mm                                rms mm")
-    rows = zip(result.cones, told["sigma_theta_full_deg"], told["sigma_vertex_mm"], told["ring_rms_mm"], strict=True)
+    rows = zip(
+        result.cones, figures["sigma_theta_full_deg"], figures["sigma_vertex_mm"], figures["ring_rms_mm"], strict=True
+    )
     for k, (cone, angle, vertex, rms) in enumerate(rows):
         places = " ".join(f"{v:8.3f}+-{s:.3f}" for v, s in zip(cone.vertex_mm, vertex, strict=True))
         full = 2 * math.degrees(cone.half_angle)
         print(f"{k:4d}  {full:8.3f}+-{angle:.3f}  {cone.axis[0]:8.4f} {cone.axis[1]:8.4f}  {places}  {rms:.3f}")
-    print(f"rms        {result.rms_mm:.3f} mm over {told['points']} points ({told['outliers']} outliers left out)")
+    print(
+        f"rms        {result.rms_mm:.3f} mm over {figures['points']} points ({figures['outliers']} outliers left out)"
+    )
     for warning in result.warnings:
         print(f"warning    {warning}")
     if radius is None:
@@ -362,16 +368,16 @@ def pipe(
     save_pipe(result, out)
     picture = picture or out.with_suffix(".pipe.png")
     draw_pipe(result, picture)
-    told = result.to_dict()
+    figures = result.to_dict()
     if as_json:
-        print(json.dumps({**told, "file": str(out), "picture": str(picture)}))
+        print(json.dumps({**figures, "file": str(out), "picture": str(picture)}))
         return
     for index, why in result.left_out.items():
         print(f"frame {index:<6} LEFT OUT: {why}")
     print(
         "ring   full angle, deg        axis x    axis y    vertex, mm                        residual         held out"
     )
-    for k, ring in enumerate(told["rings"]):
+    for k, ring in enumerate(figures["rings"]):
         x, y, z = ring["vertex_mm"]
         held = ring["held_out_mm"]
         print(
@@ -381,11 +387,11 @@ def pipe(
             + ("" if held is None else f"   {held:.3f} mm")
         )
     print(f"frames     {len(result.frames)} of {result.found} used")
-    if told["held_out_mm"] is not None:
-        kept = "kept" if told["corrected"] else "not kept"
-        corrected = told["held_out_corrected_mm"]
+    if figures["held_out_mm"] is not None:
+        kept = "kept" if figures["corrected"] else "not kept"
+        corrected = figures["held_out_corrected_mm"]
         print(
-            f"radius     {told['held_out_mm']:.3f} mm rms in frames held out"
+            f"radius     {figures['held_out_mm']:.3f} mm rms in frames held out"
             + ("" if corrected is None else f", {corrected:.3f} with residual corrections ({kept})")
         )
     for one in result.cameras:
@@ -394,7 +400,7 @@ def pipe(
             f"camera {one['camera']:<3} turned {one['turned_deg']:.3f} +- {one['turned_sigma_deg']:.3f} deg, at "
             f"{x:.3f} {y:.3f} {z:.3f} +- {max(one['centre_sigma_mm']):.3f} mm from the first"
         )
-    for one in told.get("target", ()):
+    for one in figures.get("target", ()):
         print(
             f"target     has camera {one['camera']} turned by {one['turned_deg']:.3f} deg and {one['moved_mm']:.3f} mm "
             f"elsewhere: {one['sigmas']:.1f} sigma"
@@ -446,9 +452,9 @@ def fringe(
     A slide of rings: in a clean pipe of known radius, the head some millimetres aside (tx_mm right, ty_mm down), three
     frames or more. It begins with the slide's design.
     """
-    from annulus_pipe.calibrate.fringe import calibrate_fringe, save_fringe
-    from annulus_pipe.cli.fringe import show_plate
     from annulus_pipe.record.calibration_file import projects_rings
+    from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
+    from annulus_pipe.wings.fringe.words import show_plate
 
     if projects_rings(design or camera):
         if distance is not None:
@@ -460,25 +466,25 @@ def fringe(
     with progress() as bars:
         result = calibrate_fringe(scan, camera, distance_mm=distance, progress=bars)
     save_fringe(result, out)
-    told = result.to_dict()
+    figures = result.to_dict()
     if as_json:
-        print(json.dumps({**told, "file": str(out)}))
+        print(json.dumps({**figures, "file": str(out)}))
         return
-    show_plate(result, told, out)
+    show_plate(result, figures, out)
 
 
 def _fringe_pipe(scan: Path, camera: Path, slide: Path | None, radius: float | None, out: Path, as_json: bool) -> None:
-    from annulus_pipe.calibrate.fringe_pipe import calibrate_fringe_pipe, save_fringe_pipe
-    from annulus_pipe.cli.fringe import show_pipe
+    from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe, save_fringe_pipe
+    from annulus_pipe.wings.fringe.words import show_pipe
 
     with progress() as bars:
         result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius, progress=bars)
     save_fringe_pipe(result, out)
-    told = result.to_dict()
+    figures = result.to_dict()
     if as_json:
-        print(json.dumps({**told, "file": str(out)}))
+        print(json.dumps({**figures, "file": str(out)}))
     else:
-        show_pipe(result, told, out)
+        show_pipe(result, figures, out)
 
 
 def _field(text: str) -> tuple[int, int, int, int]:

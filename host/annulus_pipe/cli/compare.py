@@ -30,16 +30,16 @@ def compare(
 
     with progress() as bars:
         found = compared(first, second, bars)
-    told = found.to_dict()
+    content = found.to_dict()
     if out is not None:
         try:
-            out.write_text(json.dumps(told, allow_nan=False) + "\n", encoding="utf-8")
+            out.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise AnnulusError(f"{out}: cannot be written ({error.strerror or error})") from None
     if page is not None:
         write_page(found, page)
     if as_json:
-        print(json.dumps(told, allow_nan=False))
+        print(json.dumps(content, allow_nan=False))
         return
     for line in found.lines():
         print(line)

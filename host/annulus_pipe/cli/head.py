@@ -160,7 +160,7 @@ def burst(
 ) -> None:
     """Arm the microwave, fire a train of bursts, wait for its end, disarm. A fault ends it with status 1."""
     from annulus_pipe.link import operate
-    from annulus_pipe.thermoacoustic.codes import train_from_us
+    from annulus_pipe.link.codes import train_from_us
 
     train = train_from_us(
         code, chip_us=chip_us, repeat=repeat, period_us=period_us, trigger_offset_us=trigger_offset_us

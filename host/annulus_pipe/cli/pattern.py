@@ -126,16 +126,16 @@ def design(
         outer_full_deg=outer_deg,
     )
     written = write_design(pattern, projector_f_mm, out)
-    told = pattern.to_dict()
+    figures = pattern.to_dict()
     if as_json:
-        print(json.dumps({**told, "files": [str(path) for path in written]}))
+        print(json.dumps({**figures, "files": [str(path) for path in written]}))
         return
-    limits = told["limits"]
-    print(f"colours    {pattern.colours}: {told['stripes']} stripes, {told['slits']} slits, n = {word}")
-    print(f"angles     {told['inner_full_deg']:.2f} to {told['outer_full_deg']:.2f} deg (full)")
+    limits = figures["limits"]
+    print(f"colours    {pattern.colours}: {figures['stripes']} stripes, {figures['slits']} slits, n = {word}")
+    print(f"angles     {figures['inner_full_deg']:.2f} to {figures['outer_full_deg']:.2f} deg (full)")
     print(f"inner      above {limits['inner_full_deg_above']:.2f} deg: clear of the body (Eq. 3.3)")
     print(f"distance   {distance_mm:g} mm, below {limits['distance_mm_below']:.1f} mm: all seen (Eq. 3.2)")
-    for pipe in told["pipes"]:
+    for pipe in figures["pipes"]:
         near, far = pipe["ahead_mm"]
         low, high = pipe["stripe_px"]
         print(
@@ -170,8 +170,8 @@ def _fringe(
     out: Path,
     as_json: bool,
 ) -> None:
-    from annulus_pipe.calibrate.fringe_slide import write_ring_slide
-    from annulus_pipe.fringe import ring_slide
+    from annulus_pipe.wings.fringe.measure import ring_slide
+    from annulus_pipe.wings.fringe.slide_drawing import write_ring_slide
 
     if period_mm is None or distance_mm is None or inner_deg is None or outer_deg is None or focal_mm is None:
         raise AnnulusError(
@@ -183,7 +183,7 @@ def _fringe(
     written = write_ring_slide(slide, out)
     edges = np.array([slide.inner_mm, slide.outer_mm])
     left = [round(float(one), 3) for one in slide.modulation(edges)]
-    told = {
+    figures = {
         "kind": "fringe",
         "rings": slide.rings,
         "period_mm": period_mm,
@@ -195,11 +195,12 @@ def _fringe(
         "files": [str(path) for path in written],
     }
     if as_json:
-        print(json.dumps(told))
+        print(json.dumps(figures))
         return
     near, far = slide.wall_mm
     print(
-        f"wave       {period_mm:g} mm along the wall of a pipe of {told['pipe_diameter_mm']:g} mm, {slide.rings} rings"
+        f"wave       {period_mm:g} mm along the wall of a pipe of {figures['pipe_diameter_mm']:g} mm, "
+        f"{slide.rings} rings"
     )
     print(f"wall       {near:.0f} to {far:.0f} mm ahead of the camera")
     print(f"slide      radii {slide.inner_mm:.3f} to {slide.outer_mm:.3f} mm, finest period {slide.finest_mm:.4f} mm")
@@ -221,12 +222,12 @@ def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:
     pipes = [outlook(known, diameter / 2) for diameter in sorted({least, (least + most) / 2, most})]
     picture = out / "outlook.png"
     draw_outlook(pipes, [one.id for one in known.cameras], picture)
-    told = []
+    figures = []
     for pipe in pipes:
         worst = float(pipe.worst_mm.max())
         at = float(pipe.worst_mm.argmax() * 360.0 / len(pipe.worst_mm))
         seen = worst < 1e6
-        told.append(
+        figures.append(
             {
                 "diameter_mm": 2 * pipe.radius_mm,
                 "covered": pipe.is_covered,
@@ -242,6 +243,6 @@ def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:
                 f"(asked: {COVERED * pipe.radius_mm:.3f})"
             )
     if as_json:
-        print(json.dumps({"pipes": told, "files": [str(picture)]}))
+        print(json.dumps({"pipes": figures, "files": [str(picture)]}))
     else:
         print(f"written    {picture}")

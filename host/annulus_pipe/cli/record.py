@@ -73,8 +73,8 @@ def verify(scan: Scan, as_json: Json = False) -> None:
     damage, missing = recording.check(), missing_told(recording)
     if as_json:
         found = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in damage]
-        told = {"frames": len(recording.frames), "torn": recording.torn, "cut_frames_at_most": recording.cut_frames}
-        print(json.dumps({**told, "damage": found, **({"missing": missing} if missing else {})}))
+        content = {"frames": len(recording.frames), "torn": recording.torn, "cut_frames_at_most": recording.cut_frames}
+        print(json.dumps({**content, "damage": found, **({"missing": missing} if missing else {})}))
     else:
         print(
             f"{len(recording.frames)} frames, {len(damage)} places damaged{_torn(recording.torn, recording.cut_frames)}"

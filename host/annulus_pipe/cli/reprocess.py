@@ -60,7 +60,7 @@ def reprocess(
     reference: References = None,
     reference_diameter: ReferenceDiameter = None,
     reference_u: ReferenceU = None,
-    told: Annotated[
+    show_as: Annotated[
         Bars,
         typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
     ] = Bars.BAR,
@@ -77,7 +77,7 @@ def reprocess(
     given = _With(calibration, colour, artefacts, sections)
     rows = []
     try:
-        with progress(told) as bars:
+        with progress(show_as) as bars:
             for scan, name in named.items():
                 before = f"{name}: " if len(named) > 1 else ""
                 rows.append(_one(scan, place / name, executor, given, lambda what, *n, of=before: bars(of + what, *n)))
@@ -186,9 +186,9 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     make_ready(work.calibration, tell)
     if place.local is not None:
         prepare_folder(place.local)
-    told = Told(scan, origin)
-    done = surveyed(work, place, executor, WindowFiles(told, place), bars, keep=True)
-    write_results(done, told, place)
+    about = Told(scan, origin)
+    done = surveyed(work, place, executor, WindowFiles(about, place), bars, keep=True)
+    write_results(done, about, place)
     return {
         "ok": not done.left_out,
         "results": str(place),

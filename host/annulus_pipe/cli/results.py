@@ -35,7 +35,7 @@ class Told:
     limits: Criteria | None = None
 
     def account(self, job: Job, survey: Survey, **counted: Any) -> Account:
-        """counted : what of an Account is the scan's own."""
+        """counted : the fields of Account that come from the scan: frames, drops, timing, findings."""
         verdict = None if self.limits is None else judge(survey, self.limits)
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
@@ -58,13 +58,13 @@ class Told:
 class WindowFiles:
     """Writes windows' results below a place, wherever the worker is."""
 
-    told: Told
+    about: Told
     place: Place
 
     def __call__(self, number: int, survey: Survey, job: Job) -> dict[str, str]:
         first, last, *_ = survey.wall.extent
         nothing: Mapping[str, Any] = {}
-        account = self.told.within(first, last).account(
+        account = self.about.within(first, last).account(
             job, survey, frames=job.scan.counts(), drops=nothing, timing_ms=nothing
         )
         if self.place.local is not None:
@@ -77,14 +77,14 @@ class WindowFiles:
             return replace(self, place=Place(made)).digests(number)
 
     def made_from(self) -> str:
-        return repr(self.told)
+        return repr(self.about)
 
     def digests(self, number: int) -> dict[str, str]:
         names = [name for name in self.place.names(f"{_folder(number)}/") if not name.endswith(f"/{ABSTRACT}")]
         return {name: hashlib.sha256(self.place.read(name) or b"").hexdigest() for name in names}
 
-    def keep(self, number: int, told: bytes) -> None:
-        self.place.write(f"{_folder(number)}/{ABSTRACT}", told)
+    def keep(self, number: int, data: bytes) -> None:
+        self.place.write(f"{_folder(number)}/{ABSTRACT}", data)
 
     def kept(self, number: int) -> bytes | None:
         return self.place.read(f"{_folder(number)}/{ABSTRACT}")
@@ -95,10 +95,10 @@ def _folder(number: int) -> str:
     return window_folder(Path(), number).as_posix()
 
 
-def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
+def write_results(done: "Surveyed", about: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
     """All result files of a scan; of its windows there are some already. Returns what summary.json says."""
     if place.local is not None:
-        return _written(done, told, place.local, paper)
+        return _written(done, about, place.local, paper)
     with tempfile.TemporaryDirectory(prefix="annulus-") as made:
         folder = Path(made)
         for number in done.windows:
@@ -106,7 +106,7 @@ def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | No
             own.mkdir(parents=True)
             for name in (SUMMARY, "wall.npz"):
                 (own / name).write_bytes(place.read(f"{_folder(number)}/{name}") or b"")
-        summary = _written(done, told, folder, paper)
+        summary = _written(done, about, folder, paper)
         kept = {window_folder(folder, number).name for number in done.windows}
         for name in place.names(f"{WINDOWS}/"):
             if name.split("/")[1] not in kept:
@@ -115,8 +115,8 @@ def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | No
     return summary
 
 
-def _written(done: "Surveyed", told: Told, out: Path, paper: "Paper | None") -> dict[str, Any]:
-    account = told.account(
+def _written(done: "Surveyed", about: Told, out: Path, paper: "Paper | None") -> dict[str, Any]:
+    account = about.account(
         done.job, done.survey, frames=done.frames, drops=done.drops, timing_ms=done.timing_ms, findings=done.findings
     )
     if isinstance(done.survey, Joined):

@@ -68,12 +68,12 @@ def progress(how: Bars = Bars.BAR) -> Iterator[Callable[[str, int, int], None]]:
 
 def _lines() -> Callable[[str, int, int], None]:
     """The first, the last, and now and then one between."""
-    said: dict[str, float] = {}
+    shown: dict[str, float] = {}
 
     def report(what: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if done >= total or now - said.get(what, -SAID_S) >= SAID_S:
-            said[what] = now
+        if done >= total or now - shown.get(what, -SAID_S) >= SAID_S:
+            shown[what] = now
             tell(json.dumps({"what": what, "done": done, "total": total}))
 
     return report

@@ -17,7 +17,7 @@ READER_GONE = 141  # status: as of a program that SIGPIPE ends
 
 
 class OutputError(Exception):
-    """Stdout took no more. No OSError: nobody is to take it for one of a file of his."""
+    """Stdout took no more. Not an OSError, so that no handler takes it for an error of a file."""
 
     def __init__(self, error: OSError) -> None:
         super().__init__(error.strerror or str(error))

@@ -76,7 +76,7 @@ def rig(
     board: Board = "native",
 ) -> None:
     """Run a simulated thermoacoustic rig and print what `annulus tai acquire` wants. Ends with Ctrl-C."""
-    from annulus_pipe.twin.acoustic.rig import rig_named
+    from annulus_pipe.wings.tai.simulated.rig import rig_named
 
     with progress() as report:
         running = rig_named(phantom, radius_mm, sound_speed, steps_per_turn, board, report)

@@ -108,7 +108,7 @@ class Session:
 
 
 class Sessions:
-    """All of them, bounded; who is connected is never put out for who comes."""
+    """All of them, bounded: a session with a page connected never makes room for a new one."""
 
     def __init__(self, needs_login: bool) -> None:
         self.needs_login = needs_login
@@ -207,7 +207,7 @@ class Password:
         self.path = path
 
     def made(self) -> str:
-        """A new one, kept; what it is is known to who is told it now."""
+        """A new password. Only its hash is kept: the caller is the last to see the password itself."""
         word = "-".join("".join(secrets.choice(_ALPHABET) for _ in range(4)) for _ in range(4))
         salt = secrets.token_bytes(16)
         kept = {name: base64.b64encode(one).decode() for name, one in (("salt", salt), ("hash", _hash(word, salt)))}

@@ -2,7 +2,7 @@
 
     async def progress(request: Request) -> Response:
         asked = await asked_for(request)                       # a mapping, or Refusal
-        return said(done=program.tune.ask(asked["lamp"]))      # AnnulusError becomes a 409
+        return accepted(done=program.tune.ask(asked["lamp"]))  # AnnulusError becomes a 409
 
 Endpoints raise; web.py answers for them.
 """
@@ -30,7 +30,7 @@ class Refusal(AnnulusError):
         self.status = status
 
 
-def said(status: int = 200, **fields: Any) -> "Response":
+def accepted(status: int = 200, **fields: Any) -> "Response":
     return _answer({"ok": True, **fields}, status)
 
 
@@ -41,8 +41,8 @@ def refused(error: str, status: int = 409) -> "Response":
 async def asked_for(request: "Request") -> Mapping[str, Any]:
     """The JSON object that was sent."""
     try:
-        said = untrusted.sayable(untrusted.parse_json(await request.body(), ASKED_MAX))
-        return untrusted.mapping(said, "what is asked")
+        content = untrusted.sayable(untrusted.parse_json(await request.body(), ASKED_MAX))
+        return untrusted.mapping(content, "what is asked")
     except ValueError as error:
         raise Refusal(400, str(error)) from None
 

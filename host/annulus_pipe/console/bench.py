@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
 from annulus_pipe.capture.timing import FrameTiming
-from annulus_pipe.console.answers import Refusal, asked_for, said
+from annulus_pipe.console.answers import Refusal, accepted, asked_for
 from annulus_pipe.controller import CHIPS_MAX, CODES
 from annulus_pipe.job import NUMBERS, REMARKS_MAX, TEXT_MAX, WORDS, JobSheet
 from annulus_pipe.vocabulary import AnnulusError
@@ -32,7 +32,7 @@ def routes(program: object, command: Sequence[str] = _RUN) -> list[Any]:
     drawing = asyncio.Lock()  # one child at a time, of all pages together
 
     async def timing(request: "Request") -> "Response":
-        return said(**frame_timing(await asked_for(request)))
+        return accepted(**frame_timing(await asked_for(request)))
 
     async def burst(request: "Request") -> "Response":
         arguments = burst_arguments(await asked_for(request))
@@ -40,17 +40,17 @@ def routes(program: object, command: Sequence[str] = _RUN) -> list[Any]:
             drawn, why = await _show(command, arguments)
         if drawn is None:
             raise AnnulusError(why)
-        return said(burst=drawn, why=why)
+        return accepted(burst=drawn, why=why)
 
     async def bench(request: "Request") -> "Response":
-        return said(codes=list(CODES), chips_max=CHIPS_MAX)
+        return accepted(codes=list(CODES), chips_max=CHIPS_MAX)
 
     async def fields(request: "Request") -> "Response":
-        return said(fields=job_fields())
+        return accepted(fields=job_fields())
 
     async def check(request: "Request") -> "Response":
         asked = await asked_for(request)
-        return said(errors=job_errors(asked.get("job")))
+        return accepted(errors=job_errors(asked.get("job")))
 
     return [
         Route("/api/timing", timing, methods=["POST"]),

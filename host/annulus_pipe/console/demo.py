@@ -31,13 +31,13 @@ def simulated(out: Path, fps: float) -> Iterator[tuple[str, str]]:
     children: list[subprocess.Popen[bytes]] = []
     try:
         out.mkdir(parents=True, exist_ok=True)
-        said = (out / "demo.log").open("wb")
+        log = (out / "demo.log").open("wb")
     except OSError as error:
         raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
-    with said:
+    with log:
         try:
             toml.unlink(missing_ok=True)
-            children.append(_child(["twin", "run", "--fps", f"{fps:g}", "-o", str(out)], said.fileno()))
+            children.append(_child(["twin", "run", "--fps", f"{fps:g}", "-o", str(out)], log.fileno()))
             _wait(children, out)
             with toml.open("a") as file:
                 file.write(
@@ -45,7 +45,7 @@ def simulated(out: Path, fps: float) -> Iterator[tuple[str, str]]:
                     f'\n[record]\nfolder = "scans"\n\n[job]\nremarks = "{REMARK}"\n'
                 )
             (out / "scans").mkdir(exist_ok=True)
-            children.append(_child(["daemon", "--config", str(toml)], said.fileno()))
+            children.append(_child(["daemon", "--config", str(toml)], log.fileno()))
             yield publish, control
         finally:
             for child in reversed(children):

@@ -52,7 +52,7 @@ class Foxglove:
     def hear(self, topic: str, body: Any, part: bytes) -> None:
         """One word of the daemon's. ValueError when it is not as it should be."""
         if isinstance(body, Mapping):
-            for to, message in self._said(topic, body, part, time.time_ns()):
+            for to, message in self._messages(topic, body, part, time.time_ns()):
                 channel = self._channel_of(to, message)
                 if channel.has_sinks():
                     channel.log(message.SerializeToString())
@@ -60,7 +60,7 @@ class Foxglove:
     def close(self) -> None:
         self._server.stop()
 
-    def _said(self, topic: str, body: Mapping[str, Any], part: bytes, now_ns: int) -> Iterator[tuple[str, Any]]:
+    def _messages(self, topic: str, body: Mapping[str, Any], part: bytes, now_ns: int) -> Iterator[tuple[str, Any]]:
         if topic.startswith("preview/"):
             camera = whole(body.get("camera", 0), "preview: camera", 0, CAMERAS_MAX - 1)
             yield (
@@ -75,8 +75,8 @@ class Foxglove:
     def _channel_of(self, topic: str, message: Any) -> Any:
         channel = self._channels.get(topic)
         if channel is None:
-            told = self._viewers.form(type(message))
-            schema = self._foxglove.Schema(name=told.name, encoding=told.encoding, data=told.data)
+            form = self._viewers.form(type(message))
+            schema = self._foxglove.Schema(name=form.name, encoding=form.encoding, data=form.data)
             channel = self._channels[topic] = self._foxglove.Channel(
                 topic, schema=schema, message_encoding="protobuf", context=self._context
             )

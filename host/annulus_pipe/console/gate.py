@@ -140,8 +140,8 @@ def _with_headers(send: Send, path: str) -> Send:
 
 
 async def _body(scope: Message, receive: Receive) -> bytes:
-    told = _Headers(scope["headers"]).one("content-length")
-    if told is not None and (not told.isascii() or not told.isdigit() or int(told[:12]) > ASKED_MAX):
+    length = _Headers(scope["headers"]).one("content-length")
+    if length is not None and (not length.isascii() or not length.isdigit() or int(length[:12]) > ASKED_MAX):
         raise Refusal(413, f"more than {ASKED_MAX >> 10} KiB, expected less")
     data = b""
     try:

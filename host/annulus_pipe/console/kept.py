@@ -62,20 +62,20 @@ class WallPart:
     @classmethod
     def parse(cls, body: Any, part: bytes) -> "WallPart":
         """Raises ValueError."""
-        told = untrusted.mapping(body, "wall")
-        of = told.get("of")
+        content = untrusted.mapping(body, "wall")
+        of = content.get("of")
         if not isinstance(of, str) or of not in wire.WALLS:
             raise ValueError(f"wall: of is {untrusted.shown(of)}, expected recent or whole")
-        columns = untrusted.whole(told.get("columns"), "wall: columns", 1, COLUMNS_MAX)
-        count = untrusted.whole(told.get("rows"), "wall: rows", 0, 4096)
+        columns = untrusted.whole(content.get("columns"), "wall: columns", 1, COLUMNS_MAX)
+        count = untrusted.whole(content.get("rows"), "wall: rows", 0, 4096)
         if len(part) != 2 * columns * count:
             raise ValueError(f"wall: {len(part)} bytes, expected {2 * columns * count}")
         return cls(
             of,
-            untrusted.whole(told.get("scan"), "wall: scan", 0, 2**32 - 1),
-            untrusted.whole(told.get("first"), "wall: first", -(2**30), 2**30),
-            untrusted.within(told.get("step_mm"), "wall: step_mm", 1e-3, 1e6),
-            untrusted.within(told.get("radius_mm"), "wall: radius_mm", 1.0, 1e4),
+            untrusted.whole(content.get("scan"), "wall: scan", 0, 2**32 - 1),
+            untrusted.whole(content.get("first"), "wall: first", -(2**30), 2**30),
+            untrusted.within(content.get("step_mm"), "wall: step_mm", 1e-3, 1e6),
+            untrusted.within(content.get("radius_mm"), "wall: radius_mm", 1.0, 1e4),
             columns,
             tuple(part[i : i + 2 * columns] for i in range(0, len(part), 2 * columns)),
         )
@@ -134,7 +134,7 @@ class CloseUp:
         """Bytes, about."""
         return len(self.picture) + sum(map(len, self.lines.values())) + 1000
 
-    def told(self) -> dict[str, Any]:
+    def for_page(self) -> dict[str, Any]:
         """For a page; not a number where nothing was seen."""
         lines = {name: np.frombuffer(data, "<f4").tolist() for name, data in self.lines.items()}
         return {**self.numbers, **{name: [round(value, 3) for value in line] for name, line in lines.items()}}
@@ -142,19 +142,19 @@ class CloseUp:
     @classmethod
     def parse(cls, body: Any, part: bytes) -> "CloseUp":
         """Raises ValueError."""
-        told = untrusted.mapping(body, "closeup")
+        content = untrusted.mapping(body, "closeup")
         numbers: dict[str, Any] = {
-            "scan": untrusted.whole(told.get("scan"), "closeup: scan", 0, 2**32 - 1),
-            "id": untrusted.whole(told.get("id"), "closeup: id", 0, 2**32 - 1),
+            "scan": untrusted.whole(content.get("scan"), "closeup: scan", 0, 2**32 - 1),
+            "id": untrusted.whole(content.get("id"), "closeup: id", 0, 2**32 - 1),
         }
         lines = {}
         for name in ("section_mm", "along_mm"):
-            data = told.get(name, b"")
+            data = content.get(name, b"")
             if not isinstance(data, bytes) or len(data) % 4 or len(data) > 4 * 4096:
                 raise ValueError(f"closeup: {name} must be at most 4096 float32")
             lines[name] = data
         for name in ("along_from_mm", "along_step_mm", "nominal_mm"):
-            value = told.get(name)
+            value = content.get(name)
             numbers[name] = None if value is None else untrusted.number(value, f"closeup: {name}", 1e9)
         return cls(numbers, lines, part)
 

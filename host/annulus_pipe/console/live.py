@@ -40,7 +40,7 @@ class Live:
         self._cloud = Cloud()
         self._walls = {of: WallRows(of) for of in wire.WALLS}
         self._latest: dict[str, bytes] = {}
-        self._told: deque[bytes] = deque(maxlen=KEPT)
+        self._recent: deque[bytes] = deque(maxlen=KEPT)
         self._table = deviation_table()
         self._scan: int | None = None  # whose points and wall these are
         feed.on_word = self._hear
@@ -59,7 +59,7 @@ class Live:
 
     def welcome(self, viewer: Viewer) -> None:
         """All status that one who comes now must know."""
-        for message in (*self._latest.values(), *self._told):
+        for message in (*self._latest.values(), *self._recent):
             viewer.tell(STATUS, message)
 
     def latest(self, topic: str, body: Any) -> None:
@@ -70,7 +70,7 @@ class Live:
     def begin_anew(self) -> None:
         """Another daemon, or the same one from its beginning."""
         self._latest.clear()
-        self._told.clear()
+        self._recent.clear()
         self._forget(None)
 
     def _returned(self) -> None:
@@ -128,20 +128,20 @@ class Live:
         if hears is not None:
             hears(body, part)
             return
-        said = untrusted.mapping(body, kind)
+        content = untrusted.mapping(body, kind)
         if topic in HAPPENS:
-            said = body = {"utc_s": time.time(), **said}  # an older daemon does not say when
+            content = body = {"utc_s": time.time(), **content}  # an older daemon does not say when
         if topic in ("begun", "telemetry", "defects"):  # who came after the first has it of the others
-            self._of_scan(said.get("scan"))
+            self._of_scan(content.get("scan"))
         if topic == "defects":
-            self._defects(said)
+            self._defects(content)
         if kind == "sensor":
             self._latest[topic] = message = wire.status(topic, body)
             self.hub.newest(topic, STATUS, message)
         elif topic in LATEST:
             self.latest(topic, body)
         else:
-            self._told.append(message := wire.status(topic, body))
+            self._recent.append(message := wire.status(topic, body))
             self.hub.send(STATUS, message)
 
     def _preview(self, body: Any, part: bytes) -> None:
@@ -160,8 +160,8 @@ class Live:
         if len(part) % 4 or len(part) > 4096:
             raise ValueError(f"rows: {len(part)} bytes, expected float32")
         self.hub.newest(("rows", camera, label), "rows", wire.rows(camera, label, index, part))
-        told = light(camera, str(body.get("label")), index, part)
-        self.hub.newest(("light", camera, label), "rows", wire.status("light", told))
+        levels = light(camera, str(body.get("label")), index, part)
+        self.hub.newest(("light", camera, label), "rows", wire.status("light", levels))
 
     def _slits(self, body: Any, part: bytes) -> None:
         camera, _, index, _ = _header(body, "slits")
@@ -177,9 +177,9 @@ class Live:
         self.hub.send("wall", wall.message())
 
     def _profile(self, body: Any, part: bytes) -> None:
-        told = untrusted.mapping(body, "profile")
-        frame = untrusted.whole(told.get("frame"), "profile: frame", 0, 2**63 - 1)
-        data = told.get("points", b"")
+        content = untrusted.mapping(body, "profile")
+        frame = untrusted.whole(content.get("frame"), "profile: frame", 0, 2**63 - 1)
+        data = content.get("points", b"")
         if not isinstance(data, bytes) or len(data) % 12 or len(data) > 12 * POINTS_MAX:
             raise ValueError("profile: points must be three float32 each")
         xyz = np.frombuffer(data, "<f4").reshape(-1, 3)
@@ -203,9 +203,9 @@ class Live:
         key = closeup.numbers["scan"], closeup.numbers["id"]
         self.closeups.put(key, closeup, closeup.size)
 
-    def _defects(self, said: Mapping[str, Any]) -> None:
-        self.defects = said
-        found = said.get("defects")
+    def _defects(self, content: Mapping[str, Any]) -> None:
+        self.defects = content
+        found = content.get("defects")
         for one in found if isinstance(found, list) else ():
             frames = one.get("frames") if isinstance(one, Mapping) else None
             if isinstance(frames, list):

@@ -111,8 +111,8 @@ class Program:
     @staticmethod
     def who(session: Session) -> dict[str, str]:
         """As the daemon is told who asks."""
-        said = {"id": session.lease, "name": session.name or f"browser {session.id[:4]}"}
-        return {**said, "from": session.address} if session.address else said
+        identity = {"id": session.lease, "name": session.name or f"browser {session.id[:4]}"}
+        return {**identity, "from": session.address} if session.address else identity
 
     def look(self) -> None:
         """What the daemon is about may have changed."""

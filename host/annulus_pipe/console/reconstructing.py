@@ -180,9 +180,9 @@ class Reconstructing:
     def _heard(self, job: Job, line: bytes) -> str:
         """The line, where it is not of progress."""
         try:
-            said = untrusted.mapping(untrusted.parse_json(line, LINE_MAX), "progress")
-            what = untrusted.printable(untrusted.text(said.get("what"), "what", 60))
-            done, total = (untrusted.whole(said.get(name), name, 0, 1 << 40) for name in ("done", "total"))
+            progress = untrusted.mapping(untrusted.parse_json(line, LINE_MAX), "progress")
+            what = untrusted.printable(untrusted.text(progress.get("what"), "what", 60))
+            done, total = (untrusted.whole(progress.get(name), name, 0, 1 << 40) for name in ("done", "total"))
         except ValueError:
             text = untrusted.one_line(line.decode("utf-8", "replace").strip())
             if text and not job.total:

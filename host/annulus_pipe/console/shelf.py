@@ -59,15 +59,15 @@ class Entry:
     kind: str
     path: Path
     changed_s: float  # Unix time
-    told: Mapping[str, Any]  # what else is known, plain
+    details: Mapping[str, Any]  # what else is known, plain
 
     def to_dict(self) -> dict[str, Any]:
         made = {"name": untrusted.printable(self.path.name), "folder": untrusted.printable(str(self.path.parent))}
-        told = dict(self.told)
-        utc = told.pop("made_utc", None)
+        details = dict(self.details)
+        utc = details.pop("made_utc", None)
         if utc is not None:
-            told["age_days"] = round((time.time() - utc) / DAY_S, 2)
-        return {"id": self.id, "kind": self.kind, **made, "changed_s": self.changed_s, **told}
+            details["age_days"] = round((time.time() - utc) / DAY_S, 2)
+        return {"id": self.id, "kind": self.kind, **made, "changed_s": self.changed_s, **details}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +83,8 @@ class Listing:
     @property
     def stamp(self) -> str:
         """Another where anything of it is."""
-        told = [(one.id, one.changed_s, sorted(one.told.items(), key=str)) for one in self.by_id.values()]
-        return hashlib.sha256(f"{told} {self.left_out} {self.waiting}".encode("utf-8", "replace")).hexdigest()[:16]
+        contents = [(one.id, one.changed_s, sorted(one.details.items(), key=str)) for one in self.by_id.values()]
+        return hashlib.sha256(f"{contents} {self.left_out} {self.waiting}".encode("utf-8", "replace")).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,15 +145,15 @@ class Shelf:
 
 def _is_open(entry: Entry | None) -> bool:
     """Whether it was being recorded: that may end without a change."""
-    return entry is not None and entry.told.get("state") == "open"
+    return entry is not None and entry.details.get("state") == "open"
 
 
 def _entry(one: _Thing) -> Entry | None:
     try:
-        changed_s, told = _TELLS[one.kind](one)
+        changed_s, details = _TELLS[one.kind](one)
     except Exception:  # whatever a file has in it, it never takes the list of the others from everybody
         return None
-    return Entry(identity(one.kind, one.path), one.kind, one.path, changed_s, told)
+    return Entry(identity(one.kind, one.path), one.kind, one.path, changed_s, details)
 
 
 def identity(kind: str, path: Path) -> str:
@@ -229,8 +229,8 @@ def _stamp(found: "Sequence[os.DirEntry[str]]") -> tuple[tuple[str, int, int], .
     out = []
     for one in found:
         try:
-            told = one.stat(follow_symlinks=False)
-            out.append((one.name, told.st_mtime_ns, told.st_size))
+            status = one.stat(follow_symlinks=False)
+            out.append((one.name, status.st_mtime_ns, status.st_size))
         except OSError:
             out.append((one.name, 0, 0))
     return tuple(sorted(out))

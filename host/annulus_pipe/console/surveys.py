@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from annulus_pipe.console.answers import Refusal, asked_for, said
+from annulus_pipe.console.answers import Refusal, accepted, asked_for
 from annulus_pipe.console.reconstructing import Reconstructing
 from annulus_pipe.console.shelf import FILES, Entry, Shelf
 from annulus_pipe.vocabulary import AnnulusError
@@ -65,8 +65,8 @@ def routes(program: Host, command: Sequence[str] | None = None) -> list[Any]:
             listing = await asyncio.to_thread(shelf.look)
         jobs = queue[0].jobs() if queue else []
         if request.query_params.get("known") == listing.stamp:  # a page looks now and then, a thousand are 600 kB
-            return said(same=True, stamp=listing.stamp, jobs=jobs)
-        return said(
+            return accepted(same=True, stamp=listing.stamp, jobs=jobs)
+        return accepted(
             stamp=listing.stamp,
             folders=[str(folder) for folder in shelf.folders],
             entries=[one.to_dict() for one in listing.entries],
@@ -79,24 +79,24 @@ def routes(program: Host, command: Sequence[str] | None = None) -> list[Any]:
     async def reconstruct(request: "Request") -> "Response":
         asked: Mapping[str, Any] = await asked_for(request)
         scan = await entry(asked.get("scan"), ("recording", "scan"))
-        if scan.told.get("state") == "open":
+        if scan.details.get("state") == "open":
             raise Refusal(409, f"{scan.path.name} is being recorded, expected one that has ended")
         with_calibration = asked.get("calibration")
         calibration = None
         if with_calibration is not None:
             calibration = (await entry(with_calibration, ("calibration",))).path
-        elif scan.kind == "scan" and scan.told.get("calibrated"):
+        elif scan.kind == "scan" and scan.details.get("calibrated"):
             calibration = scan.path / "calibration.json"
-        elif not scan.told.get("calibrated"):
+        elif not scan.details.get("calibrated"):
             raise Refusal(409, f"{scan.path.name} carries no calibration, expected one to be chosen")
-        return said(id=reconstructing().ask(scan.path, calibration).id)
+        return accepted(id=reconstructing().ask(scan.path, calibration).id)
 
     async def cancel(request: "Request") -> "Response":
         asked = await asked_for(request)
         if not queue:
             raise AnnulusError("no reconstruction is under way")
         queue[0].cancel(str(asked.get("id")))
-        return said()
+        return accepted()
 
     async def file(request: "Request") -> "Response":
         result = await entry(request.path_params["id"], ("result",))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
 from annulus_pipe.console.access import Session
-from annulus_pipe.console.answers import Refusal, asked_for, said
+from annulus_pipe.console.answers import Refusal, accepted, asked_for
 from annulus_pipe.console.program import Program
 from annulus_pipe.daemon.command import Operator
 from annulus_pipe.daemon.control import ControlClient
@@ -122,10 +122,10 @@ def routes(program: Program) -> list[Any]:
         if not program.answers(mine.id):
             raise Refusal(409, "no page of yours is open that would see the lamps come on")
         tuning.begin(lamp, mine)
-        return said()
+        return accepted()
 
     async def cancel(request: "Request") -> "Response":
         tuning.cancel()
-        return said()
+        return accepted()
 
     return [Route("/api/tune", begin, methods=["POST"]), Route("/api/tune/cancel", cancel, methods=["POST"])]

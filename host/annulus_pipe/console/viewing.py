@@ -93,13 +93,13 @@ def parse(text: str | None) -> tuple[frozenset[str] | None, bool | None]:
     """What a page says: (wants, hidden), None each where it does not say. Raises ValueError."""
     if text is None:
         raise ValueError("bytes, expected a text")
-    said: Mapping[str, Any] = untrusted.mapping(
+    message: Mapping[str, Any] = untrusted.mapping(
         untrusted.sayable(untrusted.parse_json(text, SAID_MAX)), "what a page says"
     )
-    strange = said.keys() - {"want", "hidden", "here"}
+    strange = message.keys() - {"want", "hidden", "here"}
     if strange:
         raise ValueError(f"{untrusted.shown(min(strange))} is unknown, expected want, hidden or here")
-    wants, hidden = said.get("want"), said.get("hidden")
+    wants, hidden = message.get("want"), message.get("hidden")
     if wants is not None and (not isinstance(wants, list) or not all(one in WANTS for one in wants)):
         raise ValueError(f"want must be a list of {', '.join(WANTS)}")
     if hidden is not None and not isinstance(hidden, bool):

@@ -11,7 +11,7 @@ from typing import Any
 from annulus_pipe import untrusted
 from annulus_pipe.console import bench, surveys, tuning
 from annulus_pipe.console.access import CONFIRM_S, LOGINS, LOGINS_OF_ALL, PASSWORD_MAX, Bucket, Rates, Session, named
-from annulus_pipe.console.answers import Refusal, asked_for, refused, said
+from annulus_pipe.console.answers import Refusal, accepted, asked_for, refused
 from annulus_pipe.console.commands import LIT
 from annulus_pipe.console.gate import Gate
 from annulus_pipe.console.program import Program, say
@@ -45,7 +45,7 @@ def application(program: Program) -> Any:
         fresh = mine is None
         if mine is None:
             mine = program.sessions.begin(time.monotonic())
-        return with_cookie(told(mine), mine) if fresh else told(mine)
+        return with_cookie(session_answer(mine), mine) if fresh else session_answer(mine)
 
     async def login(request: Request) -> Response:
         asked = await asked_for(request)
@@ -57,7 +57,7 @@ def application(program: Program) -> Any:
             raise Refusal(400, str(error)) from None
         if program.door.password is None:
             old.name = name
-            return told(old)
+            return session_answer(old)
         now = time.monotonic()
         peer = request.client.host if request.client else ""
         if not logins.take(peer, now) or not of_all.take(now):
@@ -67,7 +67,7 @@ def application(program: Program) -> Any:
             raise Refusal(401, "the password is wrong")
         program.sessions.end(old)  # what was known of it before is worth nothing now
         mine = program.sessions.begin(now, allowed=True, name=name)
-        return with_cookie(told(mine), mine)
+        return with_cookie(session_answer(mine), mine)
 
     async def logout(request: Request) -> Response:
         mine: Session = request.state.session
@@ -76,11 +76,11 @@ def application(program: Program) -> Any:
                 await program.do({"do": "release"}, mine)
         program.sessions.end(mine)
         cut_off(program, mine.id)
-        return said()
+        return accepted()
 
     async def arm(request: Request) -> Response:
         mine: Session = request.state.session
-        return said(confirm=mine.arm(time.monotonic()), expires_s=CONFIRM_S)
+        return accepted(confirm=mine.arm(time.monotonic()), expires_s=CONFIRM_S)
 
     async def do(request: Request) -> Response:
         asked = dict(await asked_for(request))
@@ -93,7 +93,7 @@ def application(program: Program) -> Any:
             raise Refusal(403, "not confirmed: lamps come on after a second step, within 10 s of the first")
         if asked.get("photo") is not None:
             asked["photo"] = _photo(asked["photo"])
-        return said(**{key: value for key, value in (await program.do(asked, mine)).items() if key != "ok"})
+        return accepted(**{key: value for key, value in (await program.do(asked, mine)).items() if key != "ok"})
 
     async def defect(request: Request) -> Response:
         closeup = _closeup(program, request)
@@ -107,7 +107,7 @@ def application(program: Program) -> Any:
             for camera in range(max(1, len(program.cameras)))
             if isinstance(index, int) and program.live.frames.get(camera, index) is not None
         ]
-        return said(**closeup.told(), defect=found, frames=frames, picture=bool(closeup.picture))
+        return accepted(**closeup.for_page(), defect=found, frames=frames, picture=bool(closeup.picture))
 
     async def defect_picture(request: Request) -> Response:
         closeup = _closeup(program, request)
@@ -127,9 +127,9 @@ def application(program: Program) -> Any:
     async def viewing(websocket: WebSocket) -> None:
         await view(websocket, program)
 
-    def told(mine: Session) -> Response:
+    def session_answer(mine: Session) -> Response:
         who: dict[str, Any] = {"token": mine.token, "name": mine.name, "id": mine.id}
-        return said(
+        return accepted(
             **who,
             needs_login=not mine.allowed,
             password=program.door.password is not None,

@@ -31,8 +31,8 @@ def status(topic: str, body: Any) -> bytes:
     try:
         text = json.dumps({"topic": topic, "body": body}, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError):
-        said = {"topic": topic, "body": plain(body)}
-        text = json.dumps(said, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        message = {"topic": topic, "body": plain(body)}
+        text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return bytes([STATUS]) + text.encode("utf-8", "replace")
 
 

@@ -135,7 +135,7 @@ class Account:
         self._latency_ms.append(latency_ms)
 
     def lose(self, kind: str, count: int = 1, *, camera: int | None = None) -> None:
-        """`kind` is one of LOSSES. `camera`: that it is a loss of."""
+        """`kind` is one of LOSSES. `camera`: the one that lost it."""
         if kind not in LOSSES:
             raise ValueError(f"a loss of kind {kind!r}, expected one of {', '.join(LOSSES)}")
         self._lost[kind] += count

@@ -234,7 +234,7 @@ class IntakeLoop:
             self._ring.write(place, frame.image)
         self._happened(CameraEvent.FRAME)
         self._due_s = time.monotonic() + self._silent_s
-        self._say("frame", *_told(frame, place))
+        self._say("frame", *_packet(frame, place))
 
     def _wait_for(self, moment_ns: int) -> None:
         """A file is read faster than it was filmed. What is said meanwhile is heard, but nothing taken."""
@@ -255,7 +255,7 @@ class IntakeLoop:
         self._rest()
 
 
-def _told(frame: CapturedFrame, place: Place | None) -> list[Any]:
+def _packet(frame: CapturedFrame, place: Place | None) -> list[Any]:
     picture = asdict(measure(frame.image, green_first=frame.encoding in GREEN_FIRST))
     where = [None, 0] if place is None else [place.slot, place.stamp]
     return [*where, frame.sequence, frame.timestamp_ns, frame.arrived_ns, picture, _plain(frame.metadata)]

@@ -396,10 +396,10 @@ def _sensor(content: Mapping[str, Any]) -> SensorConfig:
     name = _text(content, "sensor", "name", chip.name)
     if not NAME.fullmatch(name):
         raise ValueError(f"[sensor] name is {name!r}, expected letters, digits, . _ -, at most 32")
-    told = {key: _number(content, "sensor", key, 0.0, *chip.settings[key]) for key in chip.settings if key in content}
+    settings = {k: _number(content, "sensor", k, 0.0, *chip.settings[k]) for k in chip.settings if k in content}
     period = _number(content, "sensor", "period_ms", PERIOD_MS, 5.0, 10_000.0)
     return SensorConfig(
-        kind, device, name, _whole(content, "sensor", "address", chip.address, 0x03, 0x77), period, told
+        kind, device, name, _whole(content, "sensor", "address", chip.address, 0x03, 0x77), period, settings
     )
 
 

@@ -79,8 +79,8 @@ class ControlSocket:
                 error = str(wrong)
             except AnnulusError as refused:
                 error = str(refused)
-            told = {"ok": not error, "state": state().value, "health": health(), "error": error}
-            answer = msgpack.packb({**(besides or {}), **told})
+            status = {"ok": not error, "state": state().value, "health": health(), "error": error}
+            answer = msgpack.packb({**(besides or {}), **status})
             with contextlib.suppress(zmq.ZMQError):  # it asks and does not listen
                 self._socket.send_multipart([*parts[: 1 + (len(parts) > 1 and not parts[1])], answer], zmq.NOBLOCK)
         return malformed

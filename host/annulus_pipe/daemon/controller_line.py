@@ -73,7 +73,7 @@ class ControllerLine:
         heard: list[HeadEvent] = []
         end = time.monotonic() + IDENTIFY_S
         while self.head.identity is None and time.monotonic() < end:
-            heard += self._said(self._port.pump(self.head, TURN_S))
+            heard += self._announced(self._port.pump(self.head, TURN_S))
         if self.head.identity is None:
             damaged = sum(self.head.session.counters.corrupt.values())
             answer = f"{damaged} damaged frames and no answer" if damaged else "no answer"
@@ -101,7 +101,7 @@ class ControllerLine:
             self.head.reopened()
             self._observer.event("link", f"{self.url}: the line is back")
         try:
-            return self._said(self._port.pump(self.head, wait_s))
+            return self._announced(self._port.pump(self.head, wait_s))
         except AnnulusError as error:
             self.close()
             self._reopen_s = time.monotonic() + REOPEN_S
@@ -181,7 +181,7 @@ class ControllerLine:
 
     @property
     def trouble(self) -> str:
-        """Why it is not as it should be, one line; empty when it is, or is on its way there."""
+        """What is wrong with the line, one line of text; empty when nothing is, or while it is coming up."""
         if self._port is None:
             return self._why_shut or f"{self.url}: the line is broken"
         if self.head.phase in TROUBLED:
@@ -206,15 +206,15 @@ class ControllerLine:
             self._opening.abandon()
             self._opening = None
 
-    def _said(self, heard: list[HeadEvent]) -> list[HeadEvent]:
+    def _announced(self, heard: list[HeadEvent]) -> list[HeadEvent]:
         """Tell people what concerns them."""
         tell = self._observer.event
         for one in heard:
             match one:
                 case Rebooted(boot, previous, why) if previous is not None:
                     armed = "; lamps are armed again" if self._armed else ""
-                    told = f"boot {previous} -> {boot}" if boot != previous else f"boot {boot} again, told by: {why}"
-                    tell("reset", f"the controller restarted ({told}){armed}")
+                    boots = f"boot {previous} -> {boot}" if boot != previous else f"boot {boot} again, told by: {why}"
+                    tell("reset", f"the controller restarted ({boots}){armed}")
                 case EventsLost(first, count):
                     self._account.lose("edge_events", count)
                     tell("events_lost", f"{count} events of the controller are lost, from number {first}")

@@ -82,7 +82,7 @@ def require_writable(folder: Path) -> None:
 
 
 def _there(folder: Path) -> Path:
-    """As much of it as there is."""
+    """The folder, or its nearest parent that exists."""
     there = folder.absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
@@ -134,7 +134,7 @@ class Forecast:
         self._below = float("inf")  # the last threshold told
 
     def restart(self) -> None:
-        """A scan begins: what was written before says nothing of it."""
+        """A scan begins: the rate measured before it is forgotten."""
         self._seen.clear()
         self._below = float("inf")
 

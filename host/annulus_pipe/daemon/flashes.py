@@ -1,7 +1,7 @@
 """Frames of one flash, gathered from a head's cameras before they are measured together.
 
 Frames belong together by their flash: one edge, one index, whichever camera they are of (labelling). When they come
-says nothing of that; it only says how long to wait. A flash is complete with a frame of every camera, or of those that
+decides nothing but how long to wait. A flash is complete with a frame of every camera, or of those that
 can still bring one: a camera whose frames have come to a later edge brings none of an earlier one, for its frames come
 in the order of capture. Where a camera says nothing at all, patience ends.
 
@@ -26,7 +26,7 @@ _Edge = tuple[int, int]  # segment, for edges are counted anew with it; number
 
 @dataclass(slots=True)
 class Gathered(Generic[T]):
-    """What there is of one flash; by camera, rising."""
+    """The frames that came of one flash, in the order of the cameras' numbers."""
 
     index: int
     edge: _Edge | None  # None: nobody counts edges, as without a controller

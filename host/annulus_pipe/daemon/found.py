@@ -1,8 +1,8 @@
 """Defects found so far in a scan that is under way: each window's are put together with those of the windows before.
 
 A window is looked at when the head has moved on; its ends show less than its middle: at the leading end rings are still
-to come, at the trailing end some passed before the window began. So what a window says of its middle holds, also that
-there is nothing; near its trailing end what was known before holds; and of its leading end nothing is said yet.
+to come, at the trailing end some passed before the window began. So in its middle the window is believed, also where it
+shows no defect; near its trailing end the window before is; and near its leading end nothing is listed yet.
 """
 
 import math
@@ -21,8 +21,8 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.survey import Survey
 
 LISTED_MAX, FRAMES_MAX = 500, 12
-LEADING_OF_DIAMETER, TRAILING_OF_DIAMETER = 0.5, 1.5  # of a window, which its middle is without
-SAME_OF_DIAMETER = 0.1  # apart along the pipe at least, of two that do not touch and are two
+LEADING_OF_DIAMETER, TRAILING_OF_DIAMETER = 0.5, 1.5  # at a window's ends, which are no part of its middle
+SAME_OF_DIAMETER = 0.1  # along the pipe: two defects that do not touch and are at least so far apart are two
 ALONG_MAX = 2000  # numbers of a line along the pipe
 SECTION_MM = 2.5  # to both sides of a defect's place, of which its section is the median
 UNSEEN_GREY, PICTURE_MAX, PICTURE_PX_MM = 150, 640, 2.0
@@ -69,9 +69,9 @@ class Findings:
         self.diameter_mm = self.k2_mm = math.nan
         self._diameter_mm = diameter_mm
 
-    def take_over(self, told: Mapping[str, Any]) -> None:
-        """What `to_dict` has told; nothing is known of how it looks from close by."""
-        for one in told["defects"]:
+    def take_over(self, summary: Mapping[str, Any]) -> None:
+        """Goes on from what `to_dict` gave; close-ups are not among it."""
+        for one in summary["defects"]:
             k2 = math.nan if one["depth_k2_mm"] is None else one["depth_k2_mm"]
             defect = Defect(
                 Kind(one["kind"]),
@@ -86,7 +86,7 @@ class Findings:
             )
             self.known.append(Found(one["id"], defect, tuple(one["frames"])))
         self._number = 1 + max((one.id for one in self.known), default=0)
-        looked = told.get("looked_mm")
+        looked = summary.get("looked_mm")
         self.looked_mm = (looked[0], looked[1]) if looked else None
 
     def look(self, survey: Survey, way: int, begins: bool, ends: bool) -> list[Found]:

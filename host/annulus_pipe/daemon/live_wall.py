@@ -34,7 +34,7 @@ REACH_OF_RADIUS = 40.0  # from the head, along the pipe: what is farther off is 
 ROW_MOST = 1 << 30  # either way
 SAY_S = 0.5  # between two words on what has changed, and two slices of what has not
 PACE_S = 0.05  # between any two: a viewer's queue holds two messages
-SLICE_ROWS, AT_ONCE_ROWS = 32, 256  # of a word in turn; of one on what is new, or to who is new
+SLICE_ROWS, AT_ONCE_ROWS = 32, 256  # in a message that repeats the map in turn; in one of new rows, or for a new viewer
 HOLE_ROWS = 16
 NOTHING = -(1 << 40)  # the row where none lies
 
@@ -120,7 +120,7 @@ class Grid:
         self.of, self.step_mm = of, step_mm
         self._first_step_mm, self._grows = step_mm, of == "whole"
         self._votes = np.empty((rows, COLUMNS, votes), np.int16)
-        self._told = np.empty((rows, COLUMNS), np.int16)  # the votes' medians, where not stale
+        self._medians = np.empty((rows, COLUMNS), np.int16)  # the votes' medians, where not stale
         self._row: Rows = np.empty(rows, np.int64)
         self._stale, self._changed = np.empty(rows, bool), np.empty(rows, bool)
         self.clear()
@@ -128,7 +128,7 @@ class Grid:
     def clear(self) -> None:
         self.step_mm = self._first_step_mm
         self._votes.fill(UNSEEN)  # which also makes all of its memory ours from the beginning
-        self._told.fill(UNSEEN)
+        self._medians.fill(UNSEEN)
         self._row.fill(NOTHING)
         self._stale.fill(False)
         self._changed.fill(False)
@@ -175,7 +175,7 @@ class Grid:
         if len(self._news):
             run = _run(self._news, AT_ONCE_ROWS)
             self._news = self._news[len(run) :]
-            return self._said(run)
+            return self._published(run)
         if hurried or (in_turn and now - self._sliced_s >= SAY_S):
             rows = self.known()
             if len(rows):
@@ -184,7 +184,7 @@ class Grid:
                 run = _run(rest if len(rest) else rows, AT_ONCE_ROWS if hurried else SLICE_ROWS)
                 self._turn = int(run[-1]) + 1
                 self._hurried = max(0, self._hurried - len(run))
-                return self._said(run)
+                return self._published(run)
         return 0, np.empty((0, COLUMNS), np.int16)
 
     def known(self) -> Rows:
@@ -196,12 +196,12 @@ class Grid:
         at = rows % len(self._row)
         stale = at[self._stale[at]]
         if len(stale):
-            self._told[stale] = medians(self._votes[stale])
+            self._medians[stale] = medians(self._votes[stale])
             self._stale[stale] = False
         there: BoolArray = self._row[at] == rows
-        return np.asarray(np.where(there[:, None], self._told[at], UNSEEN), np.int16)
+        return np.asarray(np.where(there[:, None], self._medians[at], UNSEEN), np.int16)
 
-    def _said(self, run: Rows) -> tuple[int, NDArray[np.int16]]:
+    def _published(self, run: Rows) -> tuple[int, NDArray[np.int16]]:
         """From the first to the last of these rows, the holes between them too."""
         rows = np.arange(run[0], run[-1] + 1)
         at = rows % len(self._row)

@@ -99,8 +99,8 @@ class Operating:
             return
         name, own, address = ("", "", "") if who is None else (who.name, self._command.public_id(who), who.address)
         left_out, self._left_out = self._left_out, 0
-        said = Commanded(now_ns, name, own, request.peer, address, request.told(), outcome, left_out)
-        self._session.observers.commanded(said)
+        entry = Commanded(now_ns, name, own, request.peer, address, request.summary(), outcome, left_out)
+        self._session.observers.commanded(entry)
 
     def _obey(self, request: Request) -> Mapping[str, Any] | None:
         now_s = time.monotonic()
@@ -129,8 +129,8 @@ class Operating:
             case Do.MARK:
                 session.require_scan()
                 self._bound_photos(request, now_s)
-                z_mm, said = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
-                session.observers.mark(Mark(time.monotonic_ns(), z_mm, *said, session.newest_led))
+                z_mm, note = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
+                session.observers.mark(Mark(time.monotonic_ns(), z_mm, *note, session.newest_led))
             case Do.ZERO:
                 if session.line is None:
                     raise AnnulusError("there is no controller, and so no odometer to zero")
@@ -209,7 +209,7 @@ class Operating:
             self._before = self._before or former.lamps
         else:
             self._before = None
-            session.observers.event("lamps", f"lamps set: {_said(wanted.lamps)}")
+            session.observers.event("lamps", f"lamps set: {_in_words(wanted.lamps)}")
         return wanted.lamps
 
     def _put_in_force(self, config: HeadConfig, window: bool) -> None:
@@ -236,6 +236,6 @@ class Operating:
             self._session.observers.event("command", text)
 
 
-def _said(lamps: LampConfig) -> str:
+def _in_words(lamps: LampConfig) -> str:
     projector = f"projector {lamps.projector_delay_us:g} us, {lamps.projector_width_us:g} us long"
     return f"{projector}; LED {lamps.led_delay_us:g} us, {lamps.led_width_us:g} us long; {lamps.ratio}:1"

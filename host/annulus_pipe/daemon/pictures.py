@@ -34,8 +34,8 @@ def preview(header: FrameHeader, image: Image) -> tuple[dict[str, Any], bytes]:
 def rows(header: FrameHeader, image: Image) -> tuple[dict[str, Any], bytes]:
     """Body and light of topic rows/<camera>: float32, the mean of BANDS bands of rows, 0..255, first row first."""
     light, saturated = row_light(image.reshape(header.shape))
-    told = {"index": header.index, "camera": header.camera, "label": header.label.value}
-    return {**told, "edge": header.edge, "slot": header.slot, "saturated": saturated}, light.tobytes()
+    body = {"index": header.index, "camera": header.camera, "label": header.label.value}
+    return {**body, "edge": header.edge, "slot": header.slot, "saturated": saturated}, light.tobytes()
 
 
 def row_light(image: Image) -> tuple[Float32Array, float]:
@@ -62,5 +62,5 @@ def slits(profile: Profile, calibration: Calibration) -> tuple[dict[str, Any], b
     ring = profile.ring[mine]
     half = (at - 0.5) / 2  # a pixel of it is made of four, whose middle is at .5
     seen = np.isfinite(half).all(axis=1) & (np.abs(half) * SUBPIXELS < ON_PICTURE).all(axis=1)
-    told = np.rint(half[seen] * SUBPIXELS).astype("<i2")
-    return {"index": profile.frame, "camera": profile.camera}, told.tobytes() + ring[seen].tobytes()
+    places = np.rint(half[seen] * SUBPIXELS).astype("<i2")
+    return {"index": profile.frame, "camera": profile.camera}, places.tobytes() + ring[seen].tobytes()

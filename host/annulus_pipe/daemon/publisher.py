@@ -68,15 +68,15 @@ class PublisherJob:
                 self._send(topic, *make(header, image))
 
     def note(self, kind: str, body: Any) -> None:
-        number, said, *part = body
-        self._publisher.send(kind, number, said, *part)
+        number, content, *part = body
+        self._publisher.send(kind, number, content, *part)
         if kind in ("begun", "ended"):
             self._under_way = kind == "begun"
             if self._under_way and self._wall is not None:
-                self._wall.begin(said["scan"])
+                self._wall.begin(content["scan"])
         if kind == "profile" and self._calibration is not None and self._wall is not None:
-            with suppress(ValueError):  # one that is none must not cost what is there
-                profile = Profile.from_dict(said)
+            with suppress(ValueError):  # a malformed profile must not cost those that are there
+                profile = Profile.from_dict(content)
                 self._wall.add(profile)
                 topic = f"slits/{profile.camera}"
                 if self._publisher.wanted(topic) and (found := slits(profile, self._calibration)):
@@ -92,8 +92,8 @@ class PublisherJob:
         if self._wall is not None and self._publisher.wanted("wall"):
             if any(b"wall".startswith(prefix) for prefix in asked):
                 self._wall.say_again()
-            for said in self._wall.say(time.monotonic(), in_turn=self._under_way):
-                self._send("wall", *said)
+            for message in self._wall.say(time.monotonic(), in_turn=self._under_way):
+                self._send("wall", *message)
         self._allowance.look()
         report = [self._publisher.address, self._publisher.floods]
         if report == self._reported:

@@ -76,19 +76,19 @@ class Request:
     who: Operator | None = None
     peer: str = field(default="", compare=False)  # where it came from, as its socket has it
 
-    def told(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """What is asked, for people and recordings: no photo, nobody's words but where they are nowhere else."""
-        said: dict[str, Any] = {"do": self.do.value}
+        fields: dict[str, Any] = {"do": self.do.value}
         match self.do:
             case Do.START:
-                said |= {"record": self.record}
+                fields |= {"record": self.record}
             case Do.LAMPS:
-                said |= {"lamps": dict(self.lamps), "commit": self.commit, "trial": self.trial}
+                fields |= {"lamps": dict(self.lamps), "commit": self.commit, "trial": self.trial}
             case Do.JOB if self.job is not None:
-                said |= {"job": sorted({*self.job.to_dict(), *self.emptied})}
+                fields |= {"job": sorted({*self.job.to_dict(), *self.emptied})}
             case Do.COMMAND:
-                said |= {"take": self.take}
-        return said
+                fields |= {"take": self.take}
+        return fields
 
     @classmethod
     def unpack(cls, packed: bytes) -> Self:

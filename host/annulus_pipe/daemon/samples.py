@@ -80,7 +80,7 @@ class Samples:
                 self._heard_ns.pop(sensor.name, None)
                 self._observer.event("sensor", f"sensor {sensor.name} can be read again")
             if sensor.name not in self._spoken:
-                self._heard_ns.setdefault(sensor.name, now)  # until it has spoken, its silence is that of its address
+                self._heard_ns.setdefault(sensor.name, now)  # until it has spoken, its address is what is silent
             for sample in samples:
                 if sensor.name not in self._spoken:
                     self._spoken.add(sensor.name)

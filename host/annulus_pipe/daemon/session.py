@@ -23,7 +23,6 @@ import zmq
 
 from annulus_pipe.capture.camera import Camera
 from annulus_pipe.daemon.account import Account, ScanReport
-from annulus_pipe.daemon.bores import Bores
 from annulus_pipe.daemon.camera_feed import CameraFeed
 from annulus_pipe.daemon.config import HeadConfig, require_size
 from annulus_pipe.daemon.controller_line import REST_S, ControllerLine, line_numbers
@@ -42,6 +41,7 @@ from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
+from annulus_pipe.wings.crossbore.live import Bores
 
 TELEMETRY_S = 1.0
 CHORES_S = 0.02  # between two looks at sensors, states and sockets
@@ -83,7 +83,7 @@ class Session:
         self._reconstruction: Reconstruction | None = None
         self._next_telemetry = self._next_chores = 0.0
         self._turns = Turns()
-        self._told: deque[tuple[FrameHeader, InSlot]] = deque()  # labelled, each in its slot, and not handed out yet
+        self._labelled: deque[tuple[FrameHeader, InSlot]] = deque()  # each in its slot, and not handed out yet
         self._report: ScanReport | None = None  # of the last scan
         self._number = 0  # of the scan under way, or the last
         self.newest_led: int | None = None  # index, of camera 0: what an operator saw when he marked a place
@@ -330,13 +330,13 @@ class Session:
         with whatever_happens(self.observers, "labels"):
             for header, frame in scan.labelled(final=True) if scan is not None else ():
                 self._tell(header, frame)
-            while self._told:
+            while self._labelled:
                 if scan is not None and scan.recorder is not None:
                     scan.recorder.poll()  # also what it gave back while cameras were stopped
                     if scan.recorder.absorbs:
                         scan.recorder.waitable.poll(10)
                         continue
-                self._hand_out(*self._told.popleft())
+                self._hand_out(*self._labelled.popleft())
         with whatever_happens(self.observers, "workers"):
             self._finish_reconstruction()
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
@@ -388,8 +388,8 @@ class Session:
             self._scan.take_in()
             for header, frame in self._scan.labelled():
                 self._tell(header, frame)
-            while self._told and not self._is_bursting:
-                self._hand_out(*self._told.popleft())
+            while self._labelled and not self._is_bursting:
+                self._hand_out(*self._labelled.popleft())
         if self.recorder is not None:
             self.recorder.poll()
         if self._reconstruction is not None:
@@ -452,7 +452,7 @@ class Session:
             self._enter(Event.LABELLED)
         if self._publishing is not None:
             self._publishing.label(header)
-        self._told.append((header, frame))
+        self._labelled.append((header, frame))
 
     def _hand_out(self, header: FrameHeader, frame: InSlot) -> None:
         """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""

@@ -68,12 +68,12 @@ class Surveying(Pool, Observer):
         pass
 
     def _reported(self, worker: int, body: list[Any]) -> None:
-        self._heard, missed, why, said = body
+        self._heard, missed, why, messages = body
         self._account.lose("surveyor_notes", missed)
         if why:
             self._account.lose("surveyor_failed")
             self._observer.event("surveyor_failed", f"the wall so far cannot be looked at: {why}")
-        for topic, found, part in said:
+        for topic, found, part in messages:
             if topic == "defects":
                 self._setup["under_way"] = found
             self._publishing.made(topic, found, part)

@@ -114,18 +114,18 @@ class SurveyorJob:
             self._ended = True
         elif kind == "profile":
             self._heard += 1
-            with suppress(ValueError):  # one that is none must not cost what is there
+            with suppress(ValueError):  # a malformed profile must not cost those that are there
                 self._window.add(Profile.from_dict(body))
 
     def idle(self) -> Any:
-        said: list[list[Any]] = []
+        messages: list[list[Any]] = []
         why = ""
         if self._looking is not None and not self._looking.is_alive():
             self._looking, result = None, self._result.pop()
             if self._stale:  # of a scan before this one
                 self._stale = False
             elif isinstance(result, Survey):
-                said = self._look(result)
+                messages = self._look(result)
             else:
                 why = str(result)
         if self._looking is None and (part := self._window.take(self._ended)) is not None:
@@ -133,12 +133,12 @@ class SurveyorJob:
             self._looking = threading.Thread(target=self._survey, args=(profiles,), daemon=True)
             self._looking.start()
         self._turns += 1
-        said = said or self._again()
+        messages = messages or self._again()
         missed = self._window.missed - self._told_missed
-        if not said and not why and not missed and self._heard == self._reported:
+        if not messages and not why and not missed and self._heard == self._reported:
             return None
         self._reported, self._told_missed = self._heard, self._window.missed
-        return [self._heard, missed, why, said]
+        return [self._heard, missed, why, messages]
 
     def close(self) -> Any:
         return None

@@ -100,9 +100,9 @@ def tune(
         raise AnnulusError(f"lamp {lamp!r}: expected one of {', '.join(LAMPS)}")
     begun = time.monotonic()
     about = client.about()
-    told = untrusted.mapping(about.get("timing"), "timing")
+    reported = untrusted.mapping(about.get("timing"), "timing")
     timing = FrameTiming(
-        *(untrusted.number(told.get(name), name, 1e6) for name in ("fps", "exposure_us", "readout_us"))
+        *(untrusted.number(reported.get(name), name, 1e6) for name in ("fps", "exposure_us", "readout_us"))
     )
     lamps = untrusted.mapping(about.get("lamps"), "lamps")
     delay, width = (untrusted.number(lamps.get(f"{lamp}_{what}_us"), what, 1e6) for what in ("delay", "width"))

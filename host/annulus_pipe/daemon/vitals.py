@@ -50,7 +50,7 @@ class Vitals:
         self.health = Health(Word.OK)  # as of the last look
         path = health_path(config.record_folder)
         self._file = None if path is None else HealthFile(path)
-        self._told = self._refuses = ""
+        self._reported = self._refuses = ""
 
     def require_space(self) -> None:
         """Before a scan. Raises AnnulusError, one line, when it must not begin."""
@@ -86,10 +86,10 @@ class Vitals:
         self._observer.health(health)
         if self._file is not None:
             self._file.write(health, telemetry["state"], telemetry["disk"])
-            if self._file.problem != self._told:
-                self._told = self._file.problem
-                if self._told:
-                    self._observer.event("health", self._told)
+            if self._file.problem != self._reported:
+                self._reported = self._file.problem
+                if self._reported:
+                    self._observer.event("health", self._reported)
         free = self._asker.latest() if self._asker is not None else None
         self._refuses = "" if scanning or self._asker is None else self._refusal(free)
         if free is None:

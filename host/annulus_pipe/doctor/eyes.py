@@ -60,12 +60,12 @@ def _picamera(kind: Any, number: int, about: dict[str, Any]) -> Finding:
         return Finding("camera", None, f"{name}: not asked, another program has it ({one_line(str(error))})")
     try:
         modes = [(*mode["size"], mode["fps"]) for mode in camera.sensor_modes]
-        said = ", ".join(f"{width}x{height} at {fps:.0f} fps" for width, height, fps in modes)
+        listed = ", ".join(f"{width}x{height} at {fps:.0f} fps" for width, height, fps in modes)
     except (RuntimeError, KeyError, TypeError, ValueError) as error:
         return Finding("camera", False, f"{name}: does not say its modes ({one_line(str(error))})")
     finally:
         camera.close()
-    return Finding("camera", True, f"{name}: {said}")
+    return Finding("camera", True, f"{name}: {listed}")
 
 
 def _v4l2(node: Path, name: str) -> Finding:

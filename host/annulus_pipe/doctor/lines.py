@@ -24,16 +24,16 @@ def ports(root: Path = Path("/")) -> list[Finding]:
     for path in there:
         by_device.setdefault(path.resolve(), []).append(path.name)
     for device, names in by_device.items():
-        said = ", ".join(names)
+        name = ", ".join(names)
         if not os.access(device, os.R_OK | os.W_OK):
             group = _group(device)
             found.append(
-                Finding("port", False, f"{said}: no permission: sudo usermod -aG {group} $USER, then log in again")
+                Finding("port", False, f"{name}: no permission: sudo usermod -aG {group} $USER, then log in again")
             )
         elif who := users(device, root):
-            found.append(Finding("port", None, f"{said}: {who} has it"))
+            found.append(Finding("port", None, f"{name}: {who} has it"))
         else:
-            found.append(Finding("port", True, f"{said}: free"))
+            found.append(Finding("port", True, f"{name}: free"))
     return found or [Finding("port", None, "none: no controller is plugged in")]
 
 

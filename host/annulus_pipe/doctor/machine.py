@@ -91,8 +91,8 @@ def clock(
         return [Finding("clock", False, f"it is {year} here: sudo timedatectl set-ntp true, or fit a real-time clock")]
     if step_ms > STEP_MS:
         return [Finding("clock", False, f"the time of day jumped by {step_ms:.1f} ms in {look_s:g} s: who sets it?")]
-    said = {True: "synchronised", False: "not synchronised: recordings may tell a wrong time of day", None: "unknown"}
-    text = f"{said[known]}; steady within {max(step_ms, 0.001):.3f} ms"
+    words = {True: "synchronised", False: "not synchronised: recordings may tell a wrong time of day", None: "unknown"}
+    text = f"{words[known]}; steady within {max(step_ms, 0.001):.3f} ms"
     return [Finding("clock", True if known else None, text)]
 
 

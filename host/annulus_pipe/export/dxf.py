@@ -18,7 +18,7 @@ from annulus_pipe.export.results import Marked, Results
 from annulus_pipe.export.stations import radii_of_stations
 from annulus_pipe.export.tally import clock_time
 from annulus_pipe.extras import need
-from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, digits, said, span
+from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, digits, quoted, span
 from annulus_pipe.record.results_folder import Place
 
 OUTLINES_MAX = 120  # stations drawn: evenly chosen, for a CAD program's sake
@@ -112,7 +112,7 @@ class _Plan:
         for row, (name, place, _) in enumerate(named):
             self._text(f"{name}  {_described(place)}", self.first, below - 1.8 * row * self.label, "PLAN-LIST")
         for row, one in enumerate(self.results.observations, start=len(named)):
-            at = "" if one.z_mm is None else f" head at {said(one.z_mm, DISTANCE)}"
+            at = "" if one.z_mm is None else f" head at {quoted(one.z_mm, DISTANCE)}"
             clock = "" if one.clock_deg is None else f", clock {clock_time(one.clock_deg):%H:%M}"
             text = f"{one.name}  marked by the operator,{at}{clock}: {one.text}"
             self._text(text, self.first, below - 1.8 * row * self.label, "PLAN-LIST")
@@ -219,8 +219,8 @@ def _within_circle(begin: float, arc: float) -> list[tuple[float, float]]:
 def _described(place: Place) -> str:
     out = place.kind
     if place.depth_mm is not None:
-        out += f" {said(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=not place.floor_seen)} (k=2)"
-    out += f" at {said(place.z_mm, DISTANCE)}, from {span(place.z_from_mm, place.z_to_mm, DISTANCE)}"
+        out += f" {quoted(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=not place.floor_seen)} (k=2)"
+    out += f" at {quoted(place.z_mm, DISTANCE)}, from {span(place.z_from_mm, place.z_to_mm, DISTANCE)}"
     if place.kind == "ovality":
         out += f", long axis at clock {clock_time(place.clock_deg):%H:%M}"
     elif place.is_all_round and place.kind != "bend":

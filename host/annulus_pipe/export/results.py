@@ -30,7 +30,7 @@ from annulus_pipe.record.results_folder import (
     scanned,
     text,
     texts,
-    told,
+    unreadable,
 )
 from annulus_pipe.untrusted import mapping, number, parse_json, read_file, shown, within
 
@@ -89,7 +89,7 @@ class Results:
         try:
             return read_wall(path)
         except (OSError, ValueError) as error:
-            raise told(path, error) from None
+            raise unreadable(path, error) from None
 
     @cached_property
     def course(self) -> Mapping[str, Any]:
@@ -98,7 +98,7 @@ class Results:
         try:
             return _course(parse_json(read_file(path, JSON_MAX), JSON_MAX))
         except (OSError, ValueError) as error:
-            raise told(path, error) from None
+            raise unreadable(path, error) from None
 
     def station_at(self, column: str, first_mm: float, last_mm: float) -> FloatArray:
         """What the stations between two distances say, without those that say nothing."""
@@ -110,7 +110,7 @@ class Results:
         try:
             return open_ply(path, fields)
         except (OSError, ValueError) as error:
-            raise told(path, error) from None
+            raise unreadable(path, error) from None
 
 
 def open_results(folder: Path) -> Results:
@@ -119,11 +119,11 @@ def open_results(folder: Path) -> Results:
         summary = read_summary(folder)
         found = _summary(summary)
     except (OSError, ValueError) as error:
-        raise told(folder / SUMMARY, error) from None
+        raise unreadable(folder / SUMMARY, error) from None
     try:
         stations = read_stations(folder, summary)
     except (OSError, ValueError) as error:
-        raise told(folder / STATIONS, error) from None
+        raise unreadable(folder / STATIONS, error) from None
     return Results(folder=folder, stations=stations, **found)
 
 

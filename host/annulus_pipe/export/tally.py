@@ -25,7 +25,7 @@ from annulus_pipe.numeric.rounding import (
     clock_face,
     digits,
     digits_k2,
-    said,
+    quoted,
 )
 from annulus_pipe.record.results_folder import Place
 
@@ -163,7 +163,7 @@ def _theirs(one: Place, note: str, results: Results, joints: Sequence[Place], be
 
 def _measure(name: str, value: float, k2: float | None) -> str:
     what, _, unit = name.rpartition("_")
-    return f"{what.replace('_', ' ')} {said(value, Quantity(unit, MEASURE.places), k2)}"
+    return f"{what.replace('_', ' ')} {quoted(value, Quantity(unit, MEASURE.places), k2)}"
 
 
 def _own(name: str, one: Place) -> list[Cell]:

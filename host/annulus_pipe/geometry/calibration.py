@@ -65,7 +65,7 @@ class Calibration:
     z (mm). `corrections` say what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
 
     `translucency_mm`: how far red, green and blue edges of light move down the pipe within the wall it is for, beyond
-    what the rings have in them from the wall that they were measured in; 0 is as opaque as that one. With a sigma where
+    what the rings have in them from the wall that they were measured in; 0: the two are alike. With a sigma where
     it was measured.
     """
 

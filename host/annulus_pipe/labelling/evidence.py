@@ -181,7 +181,7 @@ class Journal:
         self._looked[camera] = self._rows
         return True
 
-    def said(self, header: FrameHeader) -> None:
+    def label(self, header: FrameHeader) -> None:
         """The label of a frame."""
         if self._write is None:
             return

@@ -83,7 +83,7 @@ class Labelling:
 
     @property
     def wants_preamble(self) -> bool:
-        """Which frame is which is in doubt: an order of lamps that does not repeat would tell."""
+        """Whether an optical preamble, lamps in an order that does not repeat, would end a doubt about the labels."""
         return not self._alone and self._pairing.doubtful and not self._pairing.passing
 
     @property
@@ -181,20 +181,20 @@ class Labelling:
         """The verdict. Ask once for each frame, in the order of capture."""
         if self._alone:
             blank = self._blank(frame, "", frame.sequence)
-            return self._said(_brought_along(blank, frame.metadata))
+            return self._journalled(_brought_along(blank, frame.metadata))
         if not self.offset_known or frame.arrived_ns < self._proved_from_ns:
             self._pairing.passed(frame)
-            return self._said(self._blank(frame, NOT_KNOWN))
-        said = self._verdict(frame)
-        if said.label is Label.UNKNOWN or said.flash is None or said.opened_ns is None:
-            return self._said(self._blank(frame, str(said.reason)))
-        mode, flash = self._mode, said.flash
+            return self._journalled(self._blank(frame, NOT_KNOWN))
+        verdict = self._verdict(frame)
+        if verdict.label is Label.UNKNOWN or verdict.flash is None or verdict.opened_ns is None:
+            return self._journalled(self._blank(frame, str(verdict.reason)))
+        mode, flash = self._mode, verdict.flash
         place = self._navigation.odometer.place(flash)
         known = FrameHeader(
             self._index((flash.epoch, flash.edge)),
             frame.sequence,
             frame.timestamp_ns,
-            said.label,
+            verdict.label,
             "",
             flash.edge,
             None if EdgeFlag.PREAMBLE in flash.flags else flash.slot,
@@ -205,12 +205,12 @@ class Labelling:
             mode.height,
             camera=mode.camera,
             arrived_ns=frame.arrived_ns,
-            roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
+            roll_deg=self._navigation.roll.at(_lit_ns(verdict.opened_ns, flash)),
             z_assumed=place.assumed if place is not None else False,
             z_bound_mm=place.bound_mm if place is not None else 0.0,
             segment=place.segment if place is not None else 0,
         )
-        return self._said(known)
+        return self._journalled(known)
 
     def _blank(self, frame: FrameSeen, reason: str, flash: object = None) -> FrameHeader:
         """Of a frame without a label."""
@@ -234,17 +234,17 @@ class Labelling:
 
     def _verdict(self, frame: FrameSeen) -> Labelled:
         before = self._pairing.state
-        said = self._pairing.label(frame)
+        labelled = self._pairing.label(frame)
         if before is State.PROVED and self._pairing.state is not State.PROVED:
             self._seen.clear()  # a search, should it come to that, is not to be misled by what was before
-        return said
+        return labelled
 
     def _index(self, flash: object) -> int:
         """Frames that one flash lit share one, whichever camera they are of."""
         return self._navigation.index(self._mode.camera, flash)
 
-    def _said(self, header: FrameHeader) -> FrameHeader:
-        self._navigation.journal.said(header)
+    def _journalled(self, header: FrameHeader) -> FrameHeader:
+        self._navigation.journal.label(header)
         now_s = (header.arrived_ns or 0) / 1e9
         if header.label is not Label.UNKNOWN or self._labelled_s is None or self._alone:
             self._labelled_s = now_s

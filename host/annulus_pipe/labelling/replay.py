@@ -64,7 +64,7 @@ class Replay:
 
     def __init__(self, patience_ns: int = 0) -> None:
         """`patience_ns`: on the head a frame may have been labelled early, for want of room. Off line it waits for its
-        edges, or for the offset, for so long. 0: it is labelled when it was.
+        edges, or for the offset, for so long. 0: it is labelled at the moment at which the head labelled it.
         """
         self.malformed = 0
         self._patience_ns = patience_ns
@@ -78,17 +78,17 @@ class Replay:
 
     def feed(self, row: Row) -> list[Said]:
         """The next row; the labels it brings."""
-        said: list[Said] = []
+        labels: list[Said] = []
         try:
-            said.extend(self._fed(row))
+            labels.extend(self._fed(row))
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
             self.malformed += 1
-            said.extend(self.cut())
-        return said
+            labels.extend(self.cut())
+        return labels
 
     def cut(self) -> list[Said]:
         """Rows are missing here. The labels that were waiting for more."""
-        said = [one for camera in self._cameras.values() for one in self._patient(camera, final=True)]
+        labels = [one for camera in self._cameras.values() for one in self._patient(camera, final=True)]
         self._navigation.cut(self._cuts)
         self._cuts += 1
         self._begun = self._wants_odometer = self._in_hole = True
@@ -96,13 +96,13 @@ class Replay:
             began = _Camera(camera.mode, self._navigation, camera.alone, True, camera.preambles)
             began.in_the_dark(self._navigation)
             self._cameras[camera.mode.camera] = began
-        return said
+        return labels
 
     def finish(self) -> list[Said]:
         """After the last row: what still waits."""
-        said = [one for camera in self._cameras.values() for one in self._patient(camera, final=True)]
+        labels = [one for camera in self._cameras.values() for one in self._patient(camera, final=True)]
         self._cameras.clear()
-        return said
+        return labels
 
     def _fed(self, row: Row) -> Iterator[Said]:
         known, what = bool(row.get("known")), row["what"]

@@ -129,8 +129,8 @@ class HeadControl:
         interlock: Interlock | None = None,
     ) -> None:
         """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
-        the controller has them. `pins`: what the wiring wants of them; a controller that knows nothing of that is not
-        armed if it is anything. `interlock`: its inputs, likewise; None leaves them as they are.
+        the controller has them. `pins`: what the wiring wants of them; where that is anything, a controller that does
+        not know of it is not armed. `interlock`: its inputs, likewise; None leaves them as they are.
         """
         self.session = Session()
         self.clock = ClockMap()
@@ -262,8 +262,8 @@ class HeadControl:
         return None
 
     def _may_be_asked(self, step: Command) -> bool:
-        """What is in force is read back, and preambles are ordered, where the controller can; that one is known once
-        `info` is settled.
+        """Whether the controller knows a command of later firmware, which is settled once `info` is answered. One that
+        lacks what the wiring needs is refused.
         """
         if not isinstance(step, ADDED) or self.session.knows(type(step)):
             return True

@@ -33,7 +33,7 @@ class Pins:
         return Pins(self.inverted ^ low, round(width_us * TICKS_PER_US), round(delay_us * TICKS_PER_US))
 
     def polarity(self, generation: int) -> Polarity:
-        """What says so, of the configuration that is staged."""
+        """The command that tells the controller so, for the staged configuration."""
         return Polarity(generation, self.inverted)
 
     def trigger(self, generation: int) -> CameraTrigger:

@@ -3,7 +3,7 @@
 A number is kept with three decimals of its own unit (`stored`: what summary.json says), and whatever a person reads, on
 a page, in a picture or at a terminal, is rounded from the kept one: half away from zero, as decimals, not as binary
 fractions. Rounding the number itself and rounding what was kept of it therefore read the same, wherever it is done. An
-uncertainty is rounded up, twice up is up, and is never 0.
+uncertainty is rounded up; rounding up one that already was changes nothing, and one above 0 never shows as 0.
 
 Where a thing lies along the pipe is said in metres, to the millimetre. How large it is, depths and diameters are said
 in millimetres: extents whole, since an edge is not known better, what is measured to 0.01 mm.
@@ -63,13 +63,13 @@ def digits_k2(value: float, quantity: Quantity) -> str:
     return _text(max(_scaled(_kept_up(value), quantity), Decimal(1).scaleb(-quantity.places)), quantity.places)
 
 
-def said(value: float | None, quantity: Quantity, k2: float | None = None, *, at_least: bool = False) -> str:
+def quoted(value: float | None, quantity: Quantity, k2: float | None = None, *, at_least: bool = False) -> str:
     """A value for people: "2.28 ± 0.04 mm".
 
     k2 : its expanded uncertainty; the value stands alone where nobody knows it (None, NaN). at_least : the value is a
     lower limit.
 
-    >>> said(2.2849, MEASURE, 0.0312), said(0.55, MEASURE, at_least=True), said(213.5, DISTANCE)
+    >>> quoted(2.2849, MEASURE, 0.0312), quoted(0.55, MEASURE, at_least=True), quoted(213.5, DISTANCE)
     ('2.29 ± 0.04 mm', '≥ 0.55 mm', '0.214 m')
     """
     if value is None or not math.isfinite(value):

@@ -11,7 +11,7 @@ LINE = "compiling the measuring loops, once: about a minute, longer on a Raspber
 MOMENT_S = 1.0  # of compiling that nobody needs to be told of: a rare loop, or one more type
 
 _say: Callable[[str], None] | None = None
-_told = False
+_announced = False
 _depth, _began_s, _spent_s = 0, 0.0, 0.0
 
 
@@ -28,13 +28,13 @@ def telling(say: Callable[[str], None]) -> Iterator[None]:
 
 def begins() -> None:
     """A kernel begins to be compiled, perhaps within another's. Called by numeric.jit, under numba's own lock."""
-    global _depth, _began_s, _told
+    global _depth, _began_s, _announced
     now = time.monotonic()
     if _depth == 0:
         _began_s = now
     _depth += 1
-    if not _told and _say is not None and _spent_s + now - _began_s > MOMENT_S:
-        _told = True
+    if not _announced and _say is not None and _spent_s + now - _began_s > MOMENT_S:
+        _announced = True
         _say(LINE)
 
 

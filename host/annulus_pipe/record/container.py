@@ -117,7 +117,7 @@ class _Waiting:
         return self._file.read
 
     def pieces(self, lengths: Iterable[int]) -> Iterator[bytes]:
-        """All of it, each as long as it was appended. Raises OSError."""
+        """The whole content, in pieces of the lengths in which it was appended. Raises OSError."""
         read = self.reader()
         return (read(length) for length in lengths)
 
@@ -140,7 +140,7 @@ class _Waiting:
 
 
 class _Contents:
-    """The index of what is written. Nothing of it is kept in memory: it waits as it came, and is packed at the end."""
+    """The index of what is written. Its rows wait in a file, not in memory, and are packed at the end."""
 
     def __init__(self, folder: Path, labels: str, frames: str) -> None:
         self._label_topic, self._frame_topic = labels, frames
@@ -165,8 +165,8 @@ class _Contents:
     ) -> None:
         """`offset`: in the records of the chunk at hand."""
         if channel in self._asked:
-            said = b"".join(content) if channel in self._json else b""
-            self._at_hand.append(_ROW.pack(channel, sequence, time_ns, offset, length, len(said)) + said)
+            body = b"".join(content) if channel in self._json else b""
+            self._at_hand.append(_ROW.pack(channel, sequence, time_ns, offset, length, len(body)) + body)
 
     def forget(self) -> None:
         """The chunk at hand is not in the file."""
@@ -202,12 +202,12 @@ class _Contents:
             offset, length, crc, messages, size, base, count = _LISTED.unpack(read(_LISTED.size))
             block.chunk(Chunk(offset, length, crc, messages, size))
             for _ in range(count):
-                channel, sequence, time_ns, at, bytes_, said = _ROW.unpack(read(_ROW.size))
+                channel, sequence, time_ns, at, bytes_, body_bytes = _ROW.unpack(read(_ROW.size))
                 block.row(number, channel, sequence, time_ns, base + at, bytes_)
                 if channel in self._labels:
-                    block.label(read(said))
+                    block.label(read(body_bytes))
                 elif channel in self._json:
-                    block.note(channel, sequence, time_ns, read(said))
+                    block.note(channel, sequence, time_ns, read(body_bytes))
             if block.full:
                 yield block
                 block = index.Block(number + 1)
@@ -232,7 +232,7 @@ class Container:
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._schemas: dict[str, Schema] = {}  # by name, those on disk or about to be; so with channels
         self._channels: dict[tuple[str, str], Channel] = {}  # by topic and schema
-        self._said = 0, 0  # numbers that were given out: none is given twice
+        self._issued = 0, 0  # numbers that were given out: none is given twice
         self._new: list[tuple[dict[Any, Any], Any]] = []  # of both, those that are not on disk yet
         self._pieces: list[Piece] = []
         self._size = 0
@@ -257,14 +257,14 @@ class Container:
         """The number of a topic's channel, said before its first message."""
         key = topic, form.name
         if key not in self._channels:
-            schemas, channels = self._said
+            schemas, channels = self._issued
             if form.name not in self._schemas:
                 schemas += 1
                 self._tell(
                     self._schemas, form.name, Schema(id=schemas, data=form.data, encoding=form.encoding, name=form.name)
                 )
             channels += 1
-            self._said = schemas, channels
+            self._issued = schemas, channels
             self._tell(self._channels, key, self._said_of(channels, topic, encoding, form))
             if self._contents is not None:
                 self._contents.channel(channels, topic, encoding)

@@ -117,8 +117,8 @@ def clock_of(recording: Recording) -> Clock:
     """Its own; of before there was one, what `/identity` says; else none, and its times stay what they are."""
     if recording.utc_offset_ns:
         return Clock(0, recording.utc_offset_ns)
-    told = (Clock.from_dict(body) for body in recording.notes("/identity") if isinstance(body, dict))
-    return next((clock for clock in told if clock is not None), Clock(0, 0))
+    clocks = (Clock.from_dict(body) for body in recording.notes("/identity") if isinstance(body, dict))
+    return next((clock for clock in clocks if clock is not None), Clock(0, 0))
 
 
 def _copied(

@@ -94,12 +94,12 @@ class Followed:
         if channel is None or channel.topic != LABEL_TOPIC or sequence != frame.index:
             return False
         try:
-            said = from_json(content)
-            if camera_of_label(said) != frame.camera:
+            parsed = from_json(content)
+            if camera_of_label(parsed) != frame.camera:
                 return False
         except ValueError:
             return False
-        if place_of(said) != placed_of(frame) or (label and said != label):
+        if place_of(parsed) != placed_of(frame) or (label and parsed != label):
             raise DamagedError("the index says otherwise of its label than the records")
         return True
 
@@ -111,13 +111,13 @@ def followed(
     cameras = {number for number, one in found.channels.items() if camera_of(one.topic) is not None}
     if sum(message.channel in cameras for message in found.messages) != len(frames):
         return None
-    said = notes.get(LABEL_TOPIC, ())
-    if len(said) != len(labels):
+    messages = notes.get(LABEL_TOPIC, ())
+    if len(messages) != len(labels):
         return None
     beside = {(frame.index, frame.chunk.offset) for frame in frames if frame.chunk is not None}
     apart = {
         key: message
-        for message, key in zip(said, labels, strict=True)
+        for message, key in zip(messages, labels, strict=True)
         if message.chunk is None or (key[0], message.chunk.offset) not in beside
     }
     return Followed(dict(found.channels), found.notes, apart)

@@ -93,9 +93,9 @@ def frame_name(index: int, camera: int) -> str:
 def offset_of(frames: tuple[RecordedFrame, ...], labels: Labels) -> int:
     """From labels, which say when their frames were, where no clock is attached any more; 0 of recordings of before."""
     for frame in frames:
-        said = labels.get((frame.index, frame.camera), {}).get("timestamp_ns")
-        if type(said) is int:
-            return frame.timestamp_ns - said
+        stated_ns = labels.get((frame.index, frame.camera), {}).get("timestamp_ns")
+        if type(stated_ns) is int:
+            return frame.timestamp_ns - stated_ns
     return 0
 
 

@@ -104,8 +104,8 @@ def glance(first: Path) -> Glance:
 
 
 def _look(path: Path) -> _File:
-    with opened(path) as (file, told):
-        return _seen(file, told.st_size, told.st_mtime)
+    with opened(path) as (file, status):
+        return _seen(file, status.st_size, status.st_mtime)
 
 
 def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
@@ -130,7 +130,7 @@ def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
     times = [one.time_ns for one in (*head.messages, *tail.messages)]
     configuration, calibration = (_attached(head, name) for name in (CONFIGURATION_FILE, CALIBRATION_FILE))
     who = _last(tail, channels, IDENTITY) or _last(head, channels, IDENTITY)
-    told = _last(tail, channels, JOB_TOPIC) or _last(head, channels, JOB_TOPIC)
+    job = _last(tail, channels, JOB_TOPIC) or _last(head, channels, JOB_TOPIC)
     return _File(
         size,
         changed_s,
@@ -139,7 +139,7 @@ def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
         Clock.from_dict(_attached(head, CLOCK_FILE)),
         (next((z for z in first if z is not None), None), next((z for z in last if z is not None), None)),
         frames,
-        JobSheet.recorded(_section(configuration, "job")).under(JobSheet.recorded(who.get("job"))).over_told(told),
+        JobSheet.recorded(_section(configuration, "job")).under(JobSheet.recorded(who.get("job"))).over_told(job),
         calibration,
     )
 
@@ -172,18 +172,18 @@ def _statistics(index: bytes) -> Statistics | None:
 
 def _label(walk: Walk, message: Any, channels: Mapping[int, Channel]) -> float | None:
     """Where a label says that its frame was, mm."""
-    body = _said(walk, message, channels, LABEL_TOPIC)
+    body = _body(walk, message, channels, LABEL_TOPIC)
     z = body.get("z_mm")
     known = isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM
     return float(z) if known else None  # type: ignore[arg-type]
 
 
 def _last(walk: Walk, channels: Mapping[int, Channel], topic: str) -> Mapping[str, Any]:
-    found = (_said(walk, one, channels, topic) for one in reversed(walk.messages))
+    found = (_body(walk, one, channels, topic) for one in reversed(walk.messages))
     return next((one for one in found if one), {})
 
 
-def _said(walk: Walk, message: Any, channels: Mapping[int, Channel], topic: str) -> Mapping[str, Any]:
+def _body(walk: Walk, message: Any, channels: Mapping[int, Channel], topic: str) -> Mapping[str, Any]:
     """A message of that topic; empty where it is another, or none that can be read."""
     channel = channels.get(message.channel)
     if channel is None or channel.topic != topic:

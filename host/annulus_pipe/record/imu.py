@@ -62,7 +62,7 @@ def _rows(table: Where, data: bytes) -> dict[int, Motion]:
         if missing:
             raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
         rows.fieldnames = columns
-        said: dict[int, Motion] = {}
+        motions: dict[int, Motion] = {}
         last = -1
         for row in rows:
             try:
@@ -70,7 +70,7 @@ def _rows(table: Where, data: bytes) -> dict[int, Motion]:
                 index = whole((row["index"] or "").strip(), "index")
                 if index <= last:
                     raise ValueError(f"index {index} comes after {last}, expected rising ones")
-                said[index] = Motion(
+                motions[index] = Motion(
                     _three(row, TURN, TURN_MAX_DEG, "degrees"), _three(row, GRAVITY, GRAVITY_MAX_G, "g")
                 )
             except ValueError as error:
@@ -80,7 +80,7 @@ def _rows(table: Where, data: bytes) -> dict[int, Motion]:
         raise AnnulusError(f"{table}: not a text file. Expected {','.join(COLUMNS)}.") from None
     except csv.Error as error:
         raise AnnulusError(f"{table}: line {rows.reader.line_num}: {error}.") from None
-    return said
+    return motions
 
 
 def _three(row: Mapping[str, str | None], names: tuple[str, str, str], most: float, unit: str) -> Three | None:
@@ -93,12 +93,12 @@ def _three(row: Mapping[str, str | None], names: tuple[str, str, str], most: flo
     return (float(x), float(y), float(z)) if x and y and z else None
 
 
-def _since_listed(said: Mapping[int, Motion], listed: list[int]) -> dict[int, Motion]:
+def _since_listed(motions: Mapping[int, Motion], listed: list[int]) -> dict[int, Motion]:
     """By listed frame. A turn since the row before says nothing where a frame between has none."""
     out: dict[int, Motion] = {}
     wanted, known, turns = set(listed), True, list[Three]()
-    for index in sorted({*said, *listed}):
-        motion = said.get(index, Motion())
+    for index in sorted({*motions, *listed}):
+        motion = motions.get(index, Motion())
         known = known and motion.turned_deg is not None
         if motion.turned_deg is not None:
             turns.append(motion.turned_deg)

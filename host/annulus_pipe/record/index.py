@@ -72,7 +72,7 @@ class Block:
     def __init__(self, first: int = 0) -> None:
         """`first`: number of its first chunk."""
         self.first = first
-        self._chunks, self._rows, self._said = array("Q"), array("Q"), array("Q")
+        self._chunks, self._rows, self._label_lengths = array("Q"), array("Q"), array("Q")
         self._labels = bytearray()
         self._notes, self._noted = array("Q"), bytearray()
 
@@ -96,15 +96,15 @@ class Block:
         """A message of the chunk of that number."""
         self._rows.extend((chunk, channel, sequence, time_ns, offset, length))
 
-    def label(self, said: bytes) -> None:
+    def label(self, content: bytes) -> None:
         """Of the last row, which is one of the labels' topic."""
-        self._said.append(len(said))
-        self._labels += said
+        self._label_lengths.append(len(content))
+        self._labels += content
 
-    def note(self, channel: int, sequence: int, time_ns: int, said: bytes) -> None:
+    def note(self, channel: int, sequence: int, time_ns: int, content: bytes) -> None:
         """The same of a row of another topic."""
-        self._notes.extend((channel, sequence, time_ns, len(said)))
-        self._noted += said
+        self._notes.extend((channel, sequence, time_ns, len(content)))
+        self._noted += content
 
     def packed_notes(self) -> bytes:
         rows = np.frombuffer(self._notes, U64).reshape(-1, len(_NOTE_COLUMNS))
@@ -122,7 +122,7 @@ class Block:
                 "rows": len(rows),
                 "chunk": [_column(chunks[:, i]) for i in range(len(CHUNK_COLUMNS))],
                 "row": [_column(rows[:, i]) for i in range(len(ROW_COLUMNS))],
-                "said": _column(np.frombuffer(self._said, U64)),
+                "said": _column(np.frombuffer(self._label_lengths, U64)),
                 "labels": bytes(self._labels),
             }
         )
@@ -173,10 +173,10 @@ def numbers(data: object, count: int) -> Numbers:
 
 def notes_of(block: bytes) -> Iterator[tuple[int, int, int, bytes]]:
     """Channel, sequence, time and content of each note in a block. ValueError where it is none."""
-    said = unpack(block)
-    count = count_of(said.get("rows"), 1 << 24)
-    found = [numbers(one, count).tolist() for one in columns(said, "row", _NOTE_COLUMNS)]
-    content = said.get("said")
+    fields = unpack(block)
+    count = count_of(fields.get("rows"), 1 << 24)
+    found = [numbers(one, count).tolist() for one in columns(fields, "row", _NOTE_COLUMNS)]
+    content = fields.get("said")
     if not isinstance(content, bytes) or sum(found[-1]) != len(content):
         raise ValueError("index: notes of another length")
     at = 0
@@ -211,15 +211,15 @@ def count_of(value: object, below: int) -> int:
     return untrusted.whole(value, "index: a count", 0, below - 1)
 
 
-def rows_of(said: Mapping[str, Any], name: str, width: int) -> Iterator[list[Any]]:
-    rows = said.get(name)
+def rows_of(fields: Mapping[str, Any], name: str, width: int) -> Iterator[list[Any]]:
+    rows = fields.get(name)
     if not isinstance(rows, list) or any(not isinstance(one, list) or len(one) != width for one in rows):
         raise ValueError(f"index: {name} are none")
     return iter(rows)
 
 
-def columns(said: Mapping[str, Any], name: str, names: Sequence[str]) -> list[object]:
-    found = said.get(name)
+def columns(fields: Mapping[str, Any], name: str, names: Sequence[str]) -> list[object]:
+    found = fields.get(name)
     if not isinstance(found, list) or len(found) != len(names):
         raise ValueError(f"index: {name} has other columns")
     return found
@@ -281,13 +281,13 @@ def blocks_of(contents: Contents, label_topic: str, frames: str) -> tuple[dict[s
             block.row(max(0, number), one.channel, one.sequence, one.time_ns, one.offset, one.length)
             if contents.channels[one.channel].encoding == "json":
                 try:
-                    said = contents.content(one)
+                    content = contents.content(one)
                 except ValueError:
-                    said = b""
+                    content = b""
                 if one.channel in labels:
-                    block.label(said)
+                    block.label(content)
                 else:
-                    block.note(one.channel, one.sequence, one.time_ns, said)
+                    block.note(one.channel, one.sequence, one.time_ns, content)
             elif one.channel in labels:
                 block.label(b"")
             if loose and block.full:

@@ -87,13 +87,13 @@ class Indexed:
         if len(self.chunks) != head.get("chunks") or len(self.messages) != head.get("rows"):
             raise ValueError("index: other counts than its blocks")
 
-    def _take(self, said: Mapping[str, Any]) -> None:
-        count, rows = count_of(said.get("chunks"), 1 << 24), count_of(said.get("rows"), 1 << 24)
-        if said.get("first") != len(self.chunks):
+    def _take(self, block: Mapping[str, Any]) -> None:
+        count, rows = count_of(block.get("chunks"), 1 << 24), count_of(block.get("rows"), 1 << 24)
+        if block.get("first") != len(self.chunks):
             raise ValueError("index: a block is missing")
         if (len(self.messages) + rows) * BYTES_A_MESSAGE > self._end:
             raise ValueError("index: more messages than the file has room for")
-        chunk = [numbers(one, count) for one in columns(said, "chunk", CHUNK_COLUMNS)]
+        chunk = [numbers(one, count) for one in columns(block, "chunk", CHUNK_COLUMNS)]
         offset, length, crc, _, messages, size = chunk
         last = self.chunks[-1].offset + self.chunks[-1].length if self.chunks else len(MAGIC)
         ends = np.concatenate([[np.uint64(last)], offset + length]).astype(U64)
@@ -111,7 +111,7 @@ class Indexed:
             for one in zip(*(column.tolist() for column in chunk), strict=True)
         ]
         self.chunks += fresh
-        row = [numbers(one, rows) for one in columns(said, "row", ROW_COLUMNS)]
+        row = [numbers(one, rows) for one in columns(block, "row", ROW_COLUMNS)]
         which, channel, sequence, _, at, bytes_ = row
         if rows:
             self._check_rows(which, at, bytes_, offset, length, size, len(self.chunks) - count)
@@ -123,7 +123,7 @@ class Indexed:
             for one in zip(*(column.tolist() for column in row), strict=True)
         ]
         self.messages += found
-        self._take_labels(said, found)
+        self._take_labels(block, found)
 
     def _check_rows(
         self, which: Numbers, at: Numbers, bytes_: Numbers, offset: Numbers, length: Numbers, size: Numbers, first: int
@@ -148,10 +148,10 @@ class Indexed:
         ):
             raise ValueError("index: messages that lie outside their chunks")
 
-    def _take_labels(self, said: Mapping[str, Any], found: Sequence[Message]) -> None:
+    def _take_labels(self, block: Mapping[str, Any], found: Sequence[Message]) -> None:
         labels = [one for one in found if one.channel in self._labels]
-        lengths = numbers(said.get("said"), len(labels)).tolist()
-        content = said.get("labels")
+        lengths = numbers(block.get("said"), len(labels)).tolist()
+        content = block.get("labels")
         if not isinstance(content, bytes) or sum(lengths) != len(content):
             raise ValueError("index: labels of another length")
         at = 0
@@ -235,8 +235,8 @@ def _read(file: IO[bytes], size: int, wanted: Sequence[str], label_topic: str) -
     head = unpack(attached(data[places[0] - begin :])[1])
     if head.get("begin") != first or head.get("at") != places[0]:
         return None
-    told = [(name, (offset, length)) for name, offset, length in rows_of(head, "attached", 3)]
-    kept = {name: place for name, place in told if name in wanted}
+    attached_at = [(name, (offset, length)) for name, offset, length in rows_of(head, "attached", 3)]
+    kept = {name: place for name, place in attached_at if name in wanted}
     if any(listed.get(name) != place for name, place in kept.items()):  # the list has no checksum
         return None
     if any(sum(place) > first or place[1] > ATTACHMENT_MAX for place in kept.values()):

@@ -100,15 +100,15 @@ def _observed(scan: Scan, mark: Mark, frames: Mapping[tuple[int, int], int]) -> 
     assert scan.recording is not None
     beside = None if mark.frame is None else frames.get((mark.frame, mark.camera))
     z_mm = mark.z_mm if math.isfinite(mark.z_mm) or beside is None else scan.frames[beside].z_mm
-    said = Observation(z_mm, mark.text, mark.clock_deg, _utc(mark.time_ns, scan.recording))
+    observation = Observation(z_mm, mark.text, mark.clock_deg, _utc(mark.time_ns, scan.recording))
     if photo := _photo(mark.photo):
-        return replace(said, picture=photo, shows="photo")
-    said = replace(said, photo_unread=mark.photo is not None)
+        return replace(observation, picture=photo, shows="photo")
+    observation = replace(observation, photo_unread=mark.photo is not None)
     if beside is not None:
         with contextlib.suppress(AnnulusError):  # a damaged frame shows nothing
             picture = _small(_even(scan.read(beside)))
-            return replace(said, picture=picture, shows="frame", frame=mark.frame, camera=mark.camera)
-    return said
+            return replace(observation, picture=picture, shows="frame", frame=mark.frame, camera=mark.camera)
+    return observation
 
 
 def _utc(time_ns: int, recording: Recording) -> str:

@@ -26,8 +26,8 @@ def missing_told(recording: Recording) -> list[str]:
 
 
 def _lines(note: dict[str, Any]) -> list[str]:
-    told = note.get("missing", note.get("damage"))  # notes of before have `damage` alone
-    texts = [one for one in told if isinstance(one, str)] if isinstance(told, list) else []
+    listed = note.get("missing", note.get("damage"))  # notes of before have `damage` alone
+    texts = [one for one in listed if isinstance(one, str)] if isinstance(listed, list) else []
     lines = [printable(one[:LINE_MAX]) for one in texts[:LINES_MAX]]
     rows = note.get("rows_missing")
     if "missing" not in note and type(rows) is int and rows > 0:

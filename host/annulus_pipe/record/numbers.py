@@ -1,8 +1,12 @@
-"""Rows and numbers of a table that somebody wrote by hand or program."""
+"""Small files, rows and numbers that somebody wrote by hand or program."""
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+from annulus_pipe.untrusted import read_file
+from annulus_pipe.vocabulary import AnnulusError
 
 
 def require_cells(row: Sequence[str] | Mapping[Any, Any], columns: int) -> None:
@@ -31,3 +35,15 @@ def number(text: str) -> float:
         return float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         return math.nan
+
+
+def read_bounded(path: Path, limit: int) -> bytes:
+    """A file of at most so many bytes. AnnulusError with its path for what is none."""
+    try:
+        return read_file(path, limit)
+    except FileNotFoundError:
+        raise AnnulusError(f"{path}: no such file") from None
+    except OSError as error:
+        raise AnnulusError(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}") from None

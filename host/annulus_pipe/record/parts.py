@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.record.remote import Told, Url, listed, told
+from annulus_pipe.record.remote import Told, Url, listed, stat_remote
 from annulus_pipe.record.storage import Where, opened_file
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -119,7 +119,7 @@ def _asked_for(first: Url) -> dict[str, Told]:
     for number in range(1, PARTS_MAX + 1):
         name = first.name if number == 1 else f"{first.stem}-{number:03d}.mcap"
         try:
-            found[name] = told(first.with_name(name))
+            found[name] = stat_remote(first.with_name(name))
         except FileNotFoundError:
             break
         except OSError as error:

@@ -368,7 +368,7 @@ def opened_place(path: Where, known: Told | None, ahead: int = 0) -> Iterator[tu
         far.seek(0)
         if far.read(len(MAGIC)) != MAGIC:
             raise AnnulusError(f"{path}: not an MCAP recording.")
-        yield cast(IO[bytes], far), far.size, far.told
+        yield cast(IO[bytes], far), far.size, far.known
     except ValueError as error:
         raise AnnulusError(f"{path}: cannot be read ({error}).") from None
     except OSError as error:
@@ -380,10 +380,10 @@ def opened(path: Path) -> Iterator[tuple[IO[bytes], os.stat_result]]:
     """The file of a recording, behind its first bytes. Raises AnnulusError when it is none, or cannot be read."""
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-            told = os.fstat(file.fileno())
-            if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode) or file.read(len(MAGIC)) != MAGIC:
                 raise AnnulusError(f"{path}: not an MCAP recording.")
-            yield file, told
+            yield file, status
     except ValueError as error:  # shorter than it was a moment ago
         raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
     except OSError as error:
@@ -436,10 +436,10 @@ def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recordi
     """
     try:
         frames, labels, notes = sorted_out(found)
-        told = Clock.from_dict(_attached(found, CLOCK_FILE))
+        clock = Clock.from_dict(_attached(found, CLOCK_FILE))
         check_one_scan(found)
-        if told is not None:
-            check_clock(found, frames, labels, told)
+        if clock is not None:
+            check_clock(found, frames, labels, clock)
     except TwoScansError as error:
         if isinstance(found, Indexed):
             return None
@@ -461,7 +461,7 @@ def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recordi
         if index is None:
             return None
     calibration, configuration, part = (_attached(found, name) for name in _ATTACHED if name != CLOCK_FILE)
-    offset_ns = offset_of(frames, labels) if told is None else told.offset_ns
+    offset_ns = offset_of(frames, labels) if clock is None else clock.offset_ns
     if offset_ns:
         frames = tuple(replace(frame, timestamp_ns=frame.timestamp_ns - offset_ns) for frame in frames)
     return Recording(

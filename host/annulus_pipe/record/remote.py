@@ -125,12 +125,12 @@ class Url:
         return Url(f"{self.text.rstrip('/')}/{name}")
 
 
-def told(url: Url) -> Told:
+def stat_remote(url: Url) -> Told:
     """What the store says of a file now. FileNotFoundError, PermissionError; AnnulusError where it does not answer."""
-    return _told(_asked(url, "info", lambda store, path: _in_time(store, store.info, path)), url)
+    return _parsed(_asked(url, "info", lambda store, path: _in_time(store, store.info, path)), url)
 
 
-def _told(info: Any, url: Url) -> Told:
+def _parsed(info: Any, url: Url) -> Told:
     if info.get("type") == "directory":
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(url))
     tag = next(
@@ -159,7 +159,7 @@ def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
     for info in found:
         name = str(info["name"]).rstrip("/").rpartition("/")[2]
         if info.get("type") != "directory" and name.startswith(prefix):
-            out[name] = _told(info, folder)
+            out[name] = _parsed(info, folder)
     return out
 
 
@@ -175,8 +175,8 @@ def found_below(folder: Url) -> list[str]:
 
 
 def read_remote(url: Url, limit: int) -> bytes:
-    """All bytes of a file. ValueError where there are more than `limit`; else as `told` raises."""
-    known = told(url)
+    """All bytes of a file. ValueError where there are more than `limit`; else as `stat_remote` raises."""
+    known = stat_remote(url)
     if known.size > limit:
         raise ValueError(f"larger than {limit >> 20} MiB" if limit >> 20 else f"larger than {limit >> 10} KiB")
     return fetched(url, 0, known.size, known)
@@ -185,7 +185,7 @@ def read_remote(url: Url, limit: int) -> bytes:
 def write_remote(url: Url, content: "bytes | Path") -> None:
     """A file that appears whole or not at all, in place of what was there; a Path: of what is in that file.
 
-    Raises as `told` does.
+    Raises as `stat_remote` does.
     """
 
     def put(store: Any, path: str) -> None:
@@ -274,8 +274,8 @@ def _store(url: Url) -> tuple[Any, str]:
         }
     elif url.scheme in ("sftp", "ssh"):
         parts = urlsplit(url.text)
-        said = {"username": parts.username, "password": parts.password, "port": parts.port}
-        options = {key: value for key, value in said.items() if value is not None}
+        login = {"username": parts.username, "password": parts.password, "port": parts.port}
+        options = {key: value for key, value in login.items() if value is not None}
         options |= {"host": parts.hostname, "timeout": PATIENCE.connect_s}
     store = fsspec.filesystem(url.scheme, **options)
     if url.scheme in ("s3", "s3a"):
@@ -346,12 +346,12 @@ def _is_for_ever(error: Exception) -> bool:
 
 
 def _short(error: BaseException, url: Url) -> str:
-    said = one_line(str(error)) or type(error).__name__
+    text = one_line(str(error)) or type(error).__name__
     try:
         secret = urlsplit(url.text).password
     except ValueError:
         secret = None
-    return said.replace(secret, "..") if secret else said
+    return text.replace(secret, "..") if secret else text
 
 
 def _forget(url: Url, error: Exception) -> None:
@@ -369,20 +369,21 @@ class RemoteFile:
     """
 
     def __init__(self, url: Url, known: Told | None = None, ahead: int = 0) -> None:
-        """`known`: what it was when somebody opened it. Raises as `told`, ChangedError where it is that no more."""
+        """`known`: what it was when somebody opened it. Raises as `stat_remote`, ChangedError where it is
+        that no more."""
         if known is None or not known.tag or url.scheme not in ("s3", "s3a"):
-            now = told(url)
+            now = stat_remote(url)
             if known is not None and now != known:
                 raise ChangedError(f"{url}: is not what it was when it was opened. Open it again.")
             known = now
-        self.url, self.told, self.ahead = url, known, ahead
+        self.url, self.known, self.ahead = url, known, ahead
         self._at = 0
         self._held: list[tuple[int, bytes]] = []  # from where on, the last one last
         self._planned: list[tuple[int, int]] = []
 
     @property
     def size(self) -> int:
-        return self.told.size
+        return self.known.size
 
     def plan(self, ranges: Iterable[tuple[int, int]]) -> None:
         """Which bytes, from and to, will be asked for; each is fetched once, neighbours in one request."""
@@ -416,7 +417,7 @@ class RemoteFile:
             if begin <= start < begin + len(data):  # its beginning is here
                 kept = data[start - begin :]
                 break
-        data = kept + fetched(self.url, start + len(kept), last, self.told)
+        data = kept + fetched(self.url, start + len(kept), last, self.known)
         self._held.append((start, data))
         while len(self._held) > ANSWERS_MAX or (
             len(self._held) > 1 and sum(len(one) for _, one in self._held) > HELD_MAX

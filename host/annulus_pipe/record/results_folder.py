@@ -1,6 +1,6 @@
 """The figures of a results folder, as `annulus reconstruct` left it or as somebody changed it: summary.json and
 stations.csv, bounded and looked at before anybody believes them. ValueError, one line, for what is wrong in one;
-`told` makes of it the line that names the file.
+`unreadable` makes of it the line that names the file.
 """
 
 import csv
@@ -271,7 +271,7 @@ def text(value: object, what: str, longest: int) -> str:
     return printable(raw_text(value, what, longest))
 
 
-def told(path: Path, error: Exception) -> AnnulusError:
+def unreadable(path: Path, error: Exception) -> AnnulusError:
     """What a user is told of a file of results that is not as it should be."""
     why = error.strerror if isinstance(error, OSError) and error.strerror else one_line(str(error))
     return AnnulusError(f"{path}: {why or type(error).__name__}. Expected results of `annulus reconstruct`.")

@@ -93,8 +93,8 @@ class Scan:
     @staticmethod
     def _dropped(recording: Recording) -> dict[str, int]:
         """As the last sound `/drops` says; nothing where none is."""
-        told = list(recording.notes(DROPS_TOPIC))
-        for note in reversed(told):
+        notes = list(recording.notes(DROPS_TOPIC))
+        for note in reversed(notes):
             try:
                 counts = untrusted.mapping(untrusted.mapping(note, DROPS_TOPIC).get("all"), DROPS_TOPIC)
                 return {

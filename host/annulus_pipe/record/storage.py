@@ -28,7 +28,7 @@ from annulus_pipe.record.remote import (
     read_remote,
     remote_file,
     remove_remote,
-    told,
+    stat_remote,
     write_remote,
 )
 from annulus_pipe.record.whole import written_whole
@@ -62,7 +62,7 @@ def is_file(place: Where) -> bool:
     if isinstance(place, Path):
         return place.is_file()
     try:
-        told(place)
+        stat_remote(place)
     except (FileNotFoundError, IsADirectoryError):
         return False
     return True

@@ -109,7 +109,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Whose messages are whose, and what they are."""
+    """The topic that a channel's messages belong to, and how they are encoded."""
 
     topic: str
     encoding: str
@@ -267,7 +267,7 @@ class Walk:
         chunk = Chunk(first, min(end, self._size) - first, known, 0, size if packed else 0)
         messages, channels, schemas, sound = self._inside(chunk)
         if not sound and self._allowed.of(chunk.size, chunk.length) < chunk.size:
-            self.look_at(chunk)  # which says that it is one too many: nobody reads it again
+            self.look_at(chunk)  # notes that it is over what is allowed; nobody reads it again
             return end
         chunk = Chunk(chunk.offset, chunk.length, known, len(messages), chunk.size)
         if channels or schemas or not sound:

@@ -78,8 +78,8 @@ class RecordingWriter:
             if content is not None:
                 done = done and self._container.attach(self._clock.utc(now_ns), name, to_json(content))
         self._container.channel(LABEL_TOPIC, "json", RECORD)
-        for topic, said in viewers.of_calibration(calibration or {}, self._clock.utc(now_ns)):
-            self._say(topic, said, now_ns)
+        for topic, message in viewers.of_calibration(calibration or {}, self._clock.utc(now_ns)):
+            self._say(topic, message, now_ns)
         self.note("/event", {"kind": "recording_started", "text": "recording started"}, now_ns)
         if not (done and self._flush()):
             self.abandon()
@@ -104,8 +104,8 @@ class RecordingWriter:
         """
         index, camera, encoding = int(label["index"]), camera_of_label(label), str(label["encoding"])
         utc_ns, frame_id = self._clock.utc(time_ns), viewers.of_camera(camera)
-        for topic, said in viewers.of_label(label, utc_ns):
-            self._say(topic, said, time_ns)
+        for topic, message in viewers.of_label(label, utc_ns):
+            self._say(topic, message, time_ns)
         if self._codec is Codec.JPEG and as_jpeg is None:
             as_jpeg = jpeg(image, encoding)
         preview = preview and self._previews and not self.hurried
@@ -129,8 +129,8 @@ class RecordingWriter:
     def note(self, topic: str, body: Mapping[str, Any], time_ns: int, sequence: int = 0) -> None:
         """A small record on any topic that is not a frame's. Goes to disk with the next frame, or with `flush`."""
         self._add(topic, to_json(body), time_ns, sequence)
-        for shown, said in viewers.of_note(topic, body, self._clock.utc(time_ns)):
-            self._say(shown, said, time_ns, sequence)
+        for shown, message in viewers.of_note(topic, body, self._clock.utc(time_ns)):
+            self._say(shown, message, time_ns, sequence)
         if self._pending_bytes > _NOTES_MAX:
             self._flush()
 
@@ -184,9 +184,9 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
-    def _say(self, topic: str, said: Any, time_ns: int, sequence: int = 0) -> None:
+    def _say(self, topic: str, message: Any, time_ns: int, sequence: int = 0) -> None:
         """To viewers."""
-        self._put(topic, "protobuf", viewers.form(type(said)), time_ns, sequence, said.SerializeToString())
+        self._put(topic, "protobuf", viewers.form(type(message)), time_ns, sequence, message.SerializeToString())
 
     def _add(self, topic: str, data: bytes, time_ns: int, sequence: int, kind: str = "") -> None:
         form = ("json", RECORD) if kind != FRAME_TOPIC else ("protobuf", viewers.form(viewers.RAW))

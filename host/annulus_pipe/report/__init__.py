@@ -6,9 +6,9 @@ Computes nothing and knows no method: what it writes is an attribute of `wall.Su
 
 from annulus_pipe.report.account import Account
 from annulus_pipe.report.pdf import Paper, check_pdf
-from annulus_pipe.report.plate import write_plate
 from annulus_pipe.report.results import FILES, prepare_folder, write
 from annulus_pipe.report.whole import keep_windows, write_whole, write_window
+from annulus_pipe.wings.fringe.plate_page import write_plate
 
 __all__ = [
     "FILES",

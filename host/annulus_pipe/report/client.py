@@ -25,7 +25,7 @@ from annulus_pipe.numeric.rounding import (
     digits,
     digits_k2,
     off,
-    said,
+    quoted,
     span,
 )
 from annulus_pipe.report.account import Account
@@ -67,7 +67,7 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
         ],
         "conformity": None if verdict is None else _conformity(verdict, survey.seen_fraction),
         "holes": list(_holes(survey)),
-        "least_hole": said(survey.size_limit_mm, EXTENT),
+        "least_hole": quoted(survey.size_limit_mm, EXTENT),
         "details": _details(survey, account),
         "observations": [_observed(i, one) for i, one in enumerate(account.origin.observations)],
         "marks_left_out": account.origin.marks_left_out,
@@ -78,9 +78,9 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
 
 def _job(origin: Origin) -> Iterator[tuple[str, str]]:
     """Every field, whether somebody said it or not."""
-    told = origin.job.to_dict()
+    sheet = origin.job.to_dict()
     for name, words in WORDS.items():
-        value = told.get(name)
+        value = sheet.get(name)
         if name in SHEET_UNITS and value is not None:
             yield words, f"{value:g}{SHEET_UNITS[name]}"
         elif name == "date" and value is None and origin.utc[0]:
@@ -139,7 +139,7 @@ def _second(utc: str) -> str:
 def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
     overall, look = OVERALL[verdict.decision]
     if verdict.decision is Decision.SEEN:
-        overall += f" ({said(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
+        overall += f" ({quoted(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
     still_open = [one for one in verdict.not_established if not one.usual and not one.is_hole]
     return {
         "title": verdict.criteria.title,
@@ -187,7 +187,7 @@ def _holes(survey: Survey) -> Iterator[dict[str, str]]:
                 row["clock"] = f"{len(some)} places: {near}"
             length = max(one.z_to_mm - one.z_from_mm for one in some)
             arc = max(one.arc_deg for one in some)
-            size = f"{said(length, EXTENT)}, {said(arc, ARC)}"
+            size = f"{quoted(length, EXTENT)}, {quoted(arc, ARC)}"
             yield row | {"size": size if len(some) == 1 else f"up to {size}"}
 
 
@@ -229,8 +229,10 @@ def _judged(one: Judged) -> dict[str, str]:
         "kind": one.kind,
         "what": one.of.words,
         "at": _cell(one.z_mm, DISTANCE),
-        "measured": said(one.value, unit, one.k2, at_least=one.at_least),
-        "limit": "none" if math.isnan(one.limit) else f"{'above' if one.of.lower else 'below'} {said(one.limit, unit)}",
+        "measured": quoted(one.value, unit, one.k2, at_least=one.at_least),
+        "limit": "none"
+        if math.isnan(one.limit)
+        else f"{'above' if one.of.lower else 'below'} {quoted(one.limit, unit)}",
         "severity": severity,
         "decision": str(one.decision),
         "group": one.group,
@@ -246,7 +248,7 @@ def _limits(verdict: Verdict) -> Iterator[dict[str, str]]:
                 "kind": kind,
                 "what": quantity.words,
                 "severity": str(one.severity),
-                "from": f"{said(one.start, UNITS[quantity.unit])} {side}",
+                "from": f"{quoted(one.start, UNITS[quantity.unit])} {side}",
                 "accepted": "accepted" if one.severity <= verdict.criteria.accepted else "not accepted",
             }
 
@@ -264,7 +266,7 @@ def _details(survey: Survey, account: Account) -> dict[str, Any]:
             picture = photograph(taken[one.index])
             camera = f" of camera {view.shot.camera}" if len(survey.cameras) > 1 else ""
             caption = (
-                f"LED frame {view.shot.index}{camera}, taken {said(view.ahead_mm, EXTENT)} before it, "
+                f"LED frame {view.shot.index}{camera}, taken {quoted(view.ahead_mm, EXTENT)} before it, "
                 f"{digits(view.oblique_deg, Quantity('°', 0))}° off the wall's normal. Looking forward; brightness "
                 "stretched, outline as measured."
             )
@@ -284,12 +286,12 @@ def _details(survey: Survey, account: Account) -> dict[str, Any]:
                 "kind": str(defect.kind),
                 "across": drawn,
                 "along": along(one, defect),
-                "across_caption": f"Across, at {said(one.z_mm, DISTANCE)}, looking forward. Rings: "
-                f"{said(ring, MEASURE)} outwards and inwards of the mean circle, Ø "
-                f"{said(2 * one.mean_radius_mm, MEASURE)}.",
+                "across_caption": f"Across, at {quoted(one.z_mm, DISTANCE)}, looking forward. Rings: "
+                f"{quoted(ring, MEASURE)} outwards and inwards of the mean circle, Ø "
+                f"{quoted(2 * one.mean_radius_mm, MEASURE)}.",
                 "along_caption": f"Along, at clock {clock_face(one.clock_deg)}. Grey: the extent "
                 f"{span(*defect.z_range_mm, DISTANCE)}; dashed: the depth of the list.",
-                "depth": said(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen),
+                "depth": quoted(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen),
                 "judged": None if judged is None else _judged(judged),
                 "picture": picture,
                 "caption": caption,
@@ -355,8 +357,8 @@ def _accuracy(survey: Survey, account: Account) -> dict[str, Any]:
     return {
         "rows": rows,
         "reference": anchor(survey.scale, survey.diameter_mean_mm),
-        "least_depth": said(survey.depth_limit_mm, MEASURE),
-        "least_size": said(survey.size_limit_mm, EXTENT),
+        "least_depth": quoted(survey.depth_limit_mm, MEASURE),
+        "least_size": quoted(survey.size_limit_mm, EXTENT),
         "open": list(_not_covered(survey, account)),
     }
 
@@ -375,5 +377,5 @@ def _not_covered(survey: Survey, account: Account) -> Iterator[str]:
         yield "what the head's optics may have drifted by since its calibration"
     yield "a wall that light enters farther than the calibration's did, where no section of known diameter was seen"
     yield "distance along the pipe: what the odometer's wheel or cable is off"
-    yield f"what nobody saw: {said(100 * (1 - survey.seen_fraction), SHARE)} of the wall"
+    yield f"what nobody saw: {quoted(100 * (1 - survey.seen_fraction), SHARE)} of the wall"
     yield "the wall's thickness, its outside and the ground behind it: they are not measured from inside"

@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, Image
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, said
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, quoted
 from annulus_pipe.report.paper import BUMP_BLUE, INK, LOSS_RED, round_up
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.photograph import Photograph
@@ -29,10 +29,10 @@ JPEG_QUALITY = 85
 MAP_PX = 420  # the longer side of a part of the map of colour
 
 
-def drawing(body: str, box: tuple[float, float, float, float], told: str, type_px: float) -> Markup:
+def drawing(body: str, box: tuple[float, float, float, float], description: str, type_px: float) -> Markup:
     x, y, width, height = box
     return Markup(
-        f'<svg viewBox="{x:g} {y:g} {width:g} {height:g}" role="img" aria-label="{escape(told)}" '
+        f'<svg viewBox="{x:g} {y:g} {width:g} {height:g}" role="img" aria-label="{escape(description)}" '
         f'font-family="sans-serif" font-size="{type_px:g}" fill="{INK}">{body}</svg>'
     )
 
@@ -74,12 +74,12 @@ def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Mar
     both = at(turn[[here, here]], np.array([section.datum[here], section.datum[here] + section.departs]))
     out.append(_line(both, f'stroke="{INK}" stroke-width="1.6"'))
     out.append(f'<circle cx="{both[1, 0]:.1f}" cy="{both[1, 1]:.1f}" r="3" fill="{INK}"/>')
-    told = (
-        f"Cross-section at {said(section.z_mm, DISTANCE)}: departure of the wall from the mean circle, up to "
-        f"{said(scale, MEASURE)} outwards and inwards"
+    description = (
+        f"Cross-section at {quoted(section.z_mm, DISTANCE)}: departure of the wall from the mean circle, up to "
+        f"{quoted(scale, MEASURE)} outwards and inwards"
     )
     high, wide = CIRCLE_PX + 1.75 * SWING_PX, CIRCLE_PX + 2.0 * SWING_PX
-    return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), told, 15), scale
+    return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), description, 15), scale
 
 
 def along(section: Section, defect: Defect) -> Markup:
@@ -129,11 +129,11 @@ def along(section: Section, defect: Defect) -> Markup:
         f'<text x="12" y="{(HIGH_PX - bottom) / 2:.0f}" text-anchor="middle" fill="{GREY}" '
         f'transform="rotate(-90 12 {(HIGH_PX - bottom) / 2:.0f})">departure, mm</text>'
     )
-    told = (
+    description = (
         f"Line along the pipe at clock {clock_face(section.clock_deg)}: departure of the wall from the mean circle, "
-        f"from {said(first, DISTANCE)} to {said(last, DISTANCE)}"
+        f"from {quoted(first, DISTANCE)} to {quoted(last, DISTANCE)}"
     )
-    return drawing("".join(out), (0, 0, WIDE_PX, HIGH_PX), told, 13)
+    return drawing("".join(out), (0, 0, WIDE_PX, HIGH_PX), description, 13)
 
 
 def photograph(shown: Photograph) -> str:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import Float32Array, Image
 from annulus_pipe.numeric.rounding import DISTANCE, span
-from annulus_pipe.report.bore import draw_lane
 from annulus_pipe.report.course import draw_course
 from annulus_pipe.report.feature_pictures import draw_features
 from annulus_pipe.report.halves import draw_halves, ends_of, stretch_of
@@ -34,6 +33,7 @@ from annulus_pipe.report.marks import Mark, marks_of, name_above
 from annulus_pipe.report.paper import AXES_MM, DEVIATION, UNSEEN, in_style, png, round_up, scale_of, stack
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wings.crossbore.picture import draw_lane
 
 SHEET_M = (3.0, 6.0, 15.0, 30.0, 60.0, 150.0, 300.0, 600.0)  # lengths of a sheet
 SHEETS_MAX = 20

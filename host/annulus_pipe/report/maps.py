@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array
-from annulus_pipe.numeric.rounding import MEASURE, PERCENT, SHARE, said
+from annulus_pipe.numeric.rounding import MEASURE, PERCENT, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report.marks import Mark, draw_marks, name_above
 from annulus_pipe.report.paper import (
@@ -149,7 +149,7 @@ def draw_shape(
     draw_marks(axes, marks, height_mm, names=names)
     if not names:
         name_above(axes, marks)
-    diameter = said(2 * survey.wall.mean_radius_mm, MEASURE)
+    diameter = quoted(2 * survey.wall.mean_radius_mm, MEASURE)
     title(axes, f"Deviation from the mean circle, Ø {diameter}", handles, height_mm, right=right)
 
 
@@ -207,10 +207,10 @@ def draw_cameras(figure: Figure, both: Sequence[Any], survey: Survey, stretch: S
     _draw_hidden(both[0], survey, stretch)
     share = survey.seen_by_fraction()
     patches = [
-        Patch(color=shade, label=f"{name}: {said(100 * part, SHARE)}")
+        Patch(color=shade, label=f"{name}: {quoted(100 * part, SHARE)}")
         for shade, name, part in zip(shades, names, share.values(), strict=False)
     ]
-    none = f"none: {said(100 * (1 - survey.seen_fraction), SHARE)}"
+    none = f"none: {quoted(100 * (1 - survey.seen_fraction), SHARE)}"
     patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(label=none, **NOT_SEEN)]
     columns = min(len(patches), LEGEND_COLUMNS)
     lines = -(-len(patches) // columns)
@@ -244,7 +244,7 @@ def draw_diameters(axes: Any, survey: Survey, stretch: Stretch, height_mm: float
     axes.plot(z, low, color=BUMP_BLUE, lw=1.0, label="smallest")
     axes.plot(z, high, color=LOSS_RED, lw=1.0, label="largest")
     axes.plot(z, stations.diameter_mean_mm[part], color=INK, lw=1.8, label="mean")
-    calibrated = f"calibrated pipe {said(nominal_mm, MEASURE)}"
+    calibrated = f"calibrated pipe {quoted(nominal_mm, MEASURE)}"
     axes.axhline(nominal_mm, color=FAINT, lw=0.9, ls=(0, (5, 4)), label=calibrated)
     axes.set_ylabel("diameter, mm")
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -259,7 +259,7 @@ def draw_ovality(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) 
         z, stations.ovality_percent[part], color=FAINT, lw=1.0, label=f"{OVALITY_NAME} as measured, defects included"
     )
     axes.plot(z, stations.shape_ovality_percent[part], color=INK, lw=1.8, label="pipe's shape, defects left out")
-    above = f"listed above {said(limit, PERCENT)}"
+    above = f"listed above {quoted(limit, PERCENT)}"
     axes.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=above)
     axes.set_ylabel("ovality, %")
     axes.set_ylim(bottom=0)

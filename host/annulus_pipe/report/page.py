@@ -16,7 +16,7 @@ from annulus_pipe.numeric.rounding import (
     Quantity,
     clock_face,
     digits,
-    said,
+    quoted,
     span,
 )
 from annulus_pipe.report.figures import Pictures
@@ -122,16 +122,16 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, 
         "rows": [_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
         "features": features,
         "undecided": undecided,
-        "told": "" if survey.lane is None else survey.lane.told,
+        "told": "" if survey.lane is None else survey.lane.remark,
         "pictures": [(captions[name], inline(data)) for name, data in pictures.features],
         "verdict": _verdict(survey),
         "look": _look(survey),
-        "unsure": said(100 * UNSURE, Quantity("%", 0)),
+        "unsure": quoted(100 * UNSURE, Quantity("%", 0)),
         "surface": [(caption, inline(data)) for caption, data in pictures.surface],
         "stretch": "" if pictures.stretch_mm is None else span(*pictures.stretch_mm, DISTANCE),
         "exaggeration": f"{EXAGGERATION:g}",
         "sheets": [(caption, inline(data)) for caption, data in pictures.sheets],
-        "sheet_length": said(pictures.sheet_mm, Quantity("m", 0, thousands=True)),
+        "sheet_length": quoted(pictures.sheet_mm, Quantity("m", 0, thousands=True)),
         "sheet_scale": pictures.sheet_scale,
         "overview_scale": pictures.scale,
         "frames": _taken(summary["frames"]),
@@ -158,7 +158,7 @@ def _truth(truth: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, value in truth.items():
         stem, _, unit = name.rpartition("_")
         if isinstance(value, float) and unit in UNITS:
-            yield stem.replace("_", " "), said(value, UNITS[unit])
+            yield stem.replace("_", " "), quoted(value, UNITS[unit])
         elif isinstance(value, int | float | str):
             yield name.replace("_", " "), str(value)
 
@@ -176,27 +176,27 @@ def _verdict(survey: Survey) -> str:
     else:
         damage = (
             f"{damage}. Deepest: {_name(worst).lower()} of {_depth(worst)} (k=2) "
-            f"at {said(worst.z_mm, DISTANCE)}, clock {worst.clock}."
+            f"at {quoted(worst.z_mm, DISTANCE)}, clock {worst.clock}."
         )
-    told = [damage]
+    sentences = [damage]
     named = [feature.kind for feature in survey.features]
     if named:
         counts = (_count(named.count(kind), *COUNTED[kind]) for kind in FeatureKind if kind in named)
-        told.append(f"Also in the pipe: {', '.join(counts)}.")
+        sentences.append(f"Also in the pipe: {', '.join(counts)}.")
     if undecided:
-        told.append(
+        sentences.append(
             f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
         )
     if holes := sum(one.is_hole and not one.usual for one in survey.unjudged):
-        told.append(
+        sentences.append(
             f"{_count(holes, 'place of the wall was', 'places of the wall were')} not seen: see below, where and why."
         )
     missed = {finding.kind for finding in survey.findings}
     if NOT_ENOUGH in missed:
-        told.append("Not enough of it was seen to say what shape the pipe has: see below.")
+        sentences.append("Not enough of it was seen to say what shape the pipe has: see below.")
     if RING_LOST in missed:
-        told.append("A ring of the pattern was lost: see below.")
-    return " ".join(told)
+        sentences.append("A ring of the pattern was lost: see below.")
+    return " ".join(sentences)
 
 
 def _look(survey: Survey) -> str:
@@ -224,11 +224,11 @@ def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
         remark = f"long axis {defect.clock} to {clock_face(defect.clock_deg + 180)}"
     elif not defect.is_all_round:
         clock = f"{begin} to {end}"
-        width = f"{said(defect.arc_deg * math.pi / 360 * mean, EXTENT)} ({said(defect.arc_deg, ARC)})"
+        width = f"{quoted(defect.arc_deg * math.pi / 360 * mean, EXTENT)} ({quoted(defect.arc_deg, ARC)})"
         remark = f"centre {defect.clock}"
     if defect.shadowed_mm >= 0.5:
         seen = max(defect.length_mm - defect.shadowed_mm, 0.0)
-        hidden = f"{said(defect.shadowed_mm, EXTENT)} of the length hidden, {said(seen, EXTENT)} seen"
+        hidden = f"{quoted(defect.shadowed_mm, EXTENT)} of the length hidden, {quoted(seen, EXTENT)} seen"
         remark += f"{', ' if remark else ''}{hidden}"
     return {
         "number": number,
@@ -237,10 +237,10 @@ def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
         "at": digits(defect.z_mm, DISTANCE),
         "from_to": span(*defect.z_range_mm, DISTANCE, unit=False),
         "clock": clock,
-        "length": said(defect.length_mm, EXTENT),
+        "length": quoted(defect.length_mm, EXTENT),
         "width": width,
         "depth": _depth(defect),
-        "part": said(100 * defect.depth_mm / mean, SHARE),
+        "part": quoted(100 * defect.depth_mm / mean, SHARE),
         "remark": remark,
     }
 
@@ -253,7 +253,7 @@ def _feature(name: str, feature: Feature) -> dict[str, Any]:
         "at": digits(feature.z_mm, DISTANCE),
         "from_to": span(*feature.z_range_mm, DISTANCE, unit=False),
         "clock": "all round" if feature.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}",
-        "length": said(feature.length_mm, EXTENT),
+        "length": quoted(feature.length_mm, EXTENT),
         "measures": [_words(one) for one in feature.measures],
         "remark": feature.remark,
     }
@@ -266,9 +266,9 @@ def _words(one: Measure) -> tuple[str, str]:
         text = clock_face(one.value) if math.isfinite(one.value) else NOT_MEASURED
     else:
         along = stem == "start"  # where it begins: a place along the pipe, unlike what else is in mm
-        text = said(one.value, DISTANCE if along else UNITS.get(one.unit, Quantity(one.unit, 2)), one.k2)
+        text = quoted(one.value, DISTANCE if along else UNITS.get(one.unit, Quantity(one.unit, 2)), one.k2)
     return WORDS.get(stem, stem), text
 
 
 def _depth(defect: Defect) -> str:
-    return said(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen)
+    return quoted(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen)

@@ -1,7 +1,7 @@
 """A page of a result: one HTML document, no script, no font and no picture from anywhere else; prints on any paper.
 
 All pages share `base.html.j2` (landmarks, header, running lines of the print) and `style.css`. Templates say numbers
-with `numeric.rounding` only: its functions are filters here, `{{ depth|said(MEASURE, k2) }}`.
+with `numeric.rounding` only: its functions are filters here, `{{ depth|quoted(MEASURE, k2) }}`.
 """
 
 import base64
@@ -52,14 +52,16 @@ def _environment() -> jinja2.Environment:
     )
     environment.globals.update({name: getattr(rounding, name) for name in QUANTITIES})
     environment.filters.update(
-        said=_unbroken, digits=rounding.digits, off=rounding.off, clock=rounding.clock_face, css=_quoted
+        quoted=_unbroken, digits=rounding.digits, off=rounding.off, clock=rounding.clock_face, css=_css_string
     )
     environment.globals["span"] = rounding.span
     return environment
 
 
 def _template(name: str) -> str | None:
-    here = resources.files("annulus_pipe.report").joinpath(name)
+    """PACKAGE/NAME, of another room's; NAME alone is one of the report's own."""
+    package, _, own = name.rpartition("/")
+    here = resources.files(package or "annulus_pipe.report").joinpath(own)
     return here.read_text(encoding="utf-8") if here.is_file() else None
 
 
@@ -67,11 +69,11 @@ def _read(name: str) -> str:
     return resources.files("annulus_pipe.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _quoted(text: str) -> Markup:
+def _css_string(text: str) -> Markup:
     """Any text as a string of CSS, harmless inside a style element too."""
     return Markup('"{}"').format(Markup("".join(c if c in PLAIN else f"\\{ord(c):06x}" for c in text)))
 
 
 def _unbroken(value: float | None, quantity: rounding.Quantity, k2: float | None = None) -> str:
-    """As `rounding.said`, no line ending between a number and its unit."""
-    return rounding.said(value, quantity, k2).replace(" ", "\u00a0")
+    """As `rounding.quoted`, no line ending between a number and its unit."""
+    return rounding.quoted(value, quantity, k2).replace(" ", "\u00a0")

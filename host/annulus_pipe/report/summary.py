@@ -99,7 +99,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             for one, part in survey.seen_by_fraction().items()
         }
     if survey.lane is not None:
-        out["sectors"] = {"told": survey.lane.told, "places": [asdict(mark) for mark in survey.lane.marks]}
+        out["sectors"] = {"told": survey.lane.remark, "places": [asdict(mark) for mark in survey.lane.marks]}
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
     if account.verdict is not None:
@@ -151,7 +151,8 @@ def _origin(origin: Origin) -> dict[str, Any]:
 
 
 def _severity(verdict: Verdict | None, group: Group, index: int) -> dict[str, Any]:
-    """Of one thing, where limits were named for its kind: nothing otherwise, so that nobody reads a pass."""
+    """Severity and decision of one thing. Empty where no limit was named for its kind: an entry could be read as a
+    pass."""
     one = None if verdict is None else verdict.worst_of(group, index)
     return {} if one is None else {"severity": one.severity, "decision": str(one.decision)}
 

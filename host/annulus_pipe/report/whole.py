@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, quoted, span
 from annulus_pipe.report import client, figures
 from annulus_pipe.report.account import Account
 from annulus_pipe.report.course import centreline
@@ -74,7 +74,7 @@ def write_whole(
         _write_walls(staging / WALL, [folder / WALL for folder in folders])
         (staging / "centreline.json").write_text(json.dumps(centreline(pipe), indent=1) + "\n", encoding="utf-8")
         summary = summarize(pipe, account, 1e3 * (time.perf_counter() - started))
-        summary["windows"] = [_told(folder) for folder in folders]
+        summary["windows"] = [_window_summary(folder) for folder in folders]
         more = client.values(pipe, account) | {"windows": [_row(one) for one in summary["windows"]]}
         write_page(staging, render_page(pipe, summary, pictures, **more), paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
@@ -82,7 +82,7 @@ def write_whole(
     return summary
 
 
-def _told(folder: Path) -> dict[str, Any]:
+def _window_summary(folder: Path) -> dict[str, Any]:
     """Of one window, for the summary of all."""
     own = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     scanned = own["scanned_mm"]
@@ -107,7 +107,7 @@ def _row(one: Mapping[str, Any]) -> dict[str, Any]:
         "features": one["features"],
         "points": one["points"],
         "seen": f"{one['seen_percent']:.0f} %",
-        "diameter": "" if mean is None else said(mean, MEASURE),
+        "diameter": "" if mean is None else quoted(mean, MEASURE),
     }
 
 

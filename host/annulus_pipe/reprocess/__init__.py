@@ -11,14 +11,14 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.reprocess.engine import LedFrames, Reprocessed, look_at, measure, reprocess, survey_of
 from annulus_pipe.reprocess.executors import Executor, Failed, Processes, Work, in_process
-from annulus_pipe.reprocess.fringe import reconstruct_fringe
-from annulus_pipe.reprocess.fringe_job import FringeJob, open_fringe
-from annulus_pipe.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus_pipe.reprocess.job import Job, open_job, stage_medians
 from annulus_pipe.reprocess.method import Method, fringes_on, method_for, warm_up
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.photographs import photographs
 from annulus_pipe.reprocess.whole import Surveyed, surveyed
+from annulus_pipe.wings.fringe.job import FringeJob, open_fringe
+from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
+from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 
 __all__ = [
     "Executor",

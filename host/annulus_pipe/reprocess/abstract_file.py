@@ -23,7 +23,7 @@ from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.joined import Abstract
 
 FORMAT = 1
-_OURS = "annulus."
+_OURS = "annulus_pipe."
 _DEEP = 40  # of trees in trees; an abstract's is 8
 
 
@@ -31,10 +31,10 @@ def packed(abstract: Abstract, about: Mapping[str, Any]) -> bytes:
     """`about` is JSON: what else is to be known of the window."""
     arrays: list[NDArray[Any]] = []
     tree = _tree(abstract, arrays)
-    told = json.dumps({"format": FORMAT, "about": about, "tree": tree})
+    text = json.dumps({"format": FORMAT, "about": about, "tree": tree})
     out = io.BytesIO()
     named = {str(i): array for i, array in enumerate(arrays)}
-    np.savez_compressed(out, told=np.array(told), sha256=np.array(_digest(told, arrays)), **named)  # type: ignore[arg-type]
+    np.savez_compressed(out, told=np.array(text), sha256=np.array(_digest(text, arrays)), **named)  # type: ignore[arg-type]
     return out.getvalue()
 
 
@@ -43,11 +43,11 @@ def unpacked(data: bytes) -> tuple[Abstract, Mapping[str, Any]]:
     try:
         require_plain_npz(io.BytesIO(data))
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            told, sha256 = str(archive["told"]), str(archive["sha256"])
+            text, sha256 = str(archive["told"]), str(archive["sha256"])
             arrays = [archive[str(i)] for i in range(len(archive.files) - 2)]
-        if sha256 != _digest(told, arrays):
+        if sha256 != _digest(text, arrays):
             raise ValueError("its SHA-256 is another")
-        whole = json.loads(told)
+        whole = json.loads(text)
         value = _value(whole["tree"], arrays) if whole["format"] == FORMAT else None
         if not isinstance(value, Abstract) or not isinstance(whole["about"], dict):
             raise ValueError("of another format")
@@ -56,8 +56,8 @@ def unpacked(data: bytes) -> tuple[Abstract, Mapping[str, Any]]:
     return value, whole["about"]
 
 
-def _digest(told: str, arrays: list[NDArray[Any]]) -> str:
-    digest = hashlib.sha256(told.encode())
+def _digest(text: str, arrays: list[NDArray[Any]]) -> str:
+    digest = hashlib.sha256(text.encode())
     for array in arrays:
         digest.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
@@ -79,8 +79,8 @@ def _tree(value: Any, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(value, Centreline):
         return {"line": _tree(value.pieces, arrays)}
     if is_dataclass(value) and all(one.init for one in fields(value)):
-        told = [_tree(getattr(value, one.name), arrays) for one in fields(value)]
-        return {"of": _name(type(value)), "fields": told}
+        parts = [_tree(getattr(value, one.name), arrays) for one in fields(value)]
+        return {"of": _name(type(value)), "fields": parts}
     raise TypeError(f"a {type(value).__name__} cannot be kept")
 
 
@@ -103,8 +103,8 @@ def _value(tree: Any, arrays: list[NDArray[Any]], deep: int = 0) -> Any:
     kind = _kind(tree["enum"] if "enum" in tree else tree["of"])
     if issubclass(kind, enum.Enum):
         return kind[tree["is"]]
-    told = {one.name: _value(part, arrays, deep + 1) for one, part in zip(fields(kind), tree["fields"], strict=True)}
-    return kind(**told)
+    parts = {one.name: _value(part, arrays, deep + 1) for one, part in zip(fields(kind), tree["fields"], strict=True)}
+    return kind(**parts)
 
 
 def _name(kind: type) -> str:

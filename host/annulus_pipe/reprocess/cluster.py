@@ -79,21 +79,21 @@ class Dask:
     say: Callable[[str], None] = field(default=lambda line: None, compare=False)
 
     def __post_init__(self) -> None:
-        told = urlsplit(self.scheduler)
+        address = urlsplit(self.scheduler)
         try:
-            port = told.port
+            port = address.port
         except ValueError:
             port = None
-        if told.scheme not in ("tcp", "tls") or not told.hostname or port is None:
+        if address.scheme not in ("tcp", "tls") or not address.hostname or port is None:
             raise AnnulusError(
                 f"{self.scheduler}: no address of a scheduler. Expected tcp://HOST:PORT or tls://HOST:PORT."
             )
-        if told.scheme == "tcp" and not is_loopback(self.scheduler):
+        if address.scheme == "tcp" and not is_loopback(self.scheduler):
             raise AnnulusError(
                 f"{self.scheduler}: not loopback, and not encrypted: whoever is on the way could run what they like on "
                 "every worker. Expected tls:// and its files."
             )
-        if (told.scheme == "tls") != (self.tls is not None):
+        if (address.scheme == "tls") != (self.tls is not None):
             raise AnnulusError(f"{self.scheduler}: files of TLS go with tls://, and tls:// does not go without them.")
 
     def __call__(self, work: Work[Item, Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | Failed]]:
@@ -161,8 +161,8 @@ class _Desk:
                 self._hear(distributed, todo)
             except (*LOST, distributed.client.ClosedClientError) as error:
                 self._lost(error, todo)
-            said, self.outcomes = self.outcomes, []  # also what was heard before the line was lost
-            yield from said
+            outcomes, self.outcomes = self.outcomes, []  # also what was heard before the line was lost
+            yield from outcomes
 
     def _connect(self, distributed: Any) -> None:
         self.client = distributed.Client(
@@ -199,11 +199,11 @@ class _Desk:
         now = time.monotonic()
         if now - self.looked_s < LOOK_S:
             return
-        told = self.client.sync(self.client.scheduler.identity, n_workers=-1, callback_timeout=ANSWER_S)
-        if self.met and told["id"] != self.met:
+        identity = self.client.sync(self.client.scheduler.identity, n_workers=-1, callback_timeout=ANSWER_S)
+        if self.met and identity["id"] != self.met:
             raise OSError("another one answers")
-        self.met, self.lost_since_s, self.looked_s = told["id"], None, now
-        self.workers = {name: int(one["nthreads"]) for name, one in told["workers"].items()}
+        self.met, self.lost_since_s, self.looked_s = identity["id"], None, now
+        self.workers = {name: int(one["nthreads"]) for name, one in identity["workers"].items()}
         mine = self.workers.keys() - self.strangers.keys()
         for number, only in [*self.only.items()]:
             if not only & mine:  # it would wait for ever
@@ -245,17 +245,17 @@ class _Desk:
 
     def _hear(self, distributed: Any, todo: "deque[int]") -> None:
         """What has been done; waits a moment for the first one, and for those that come with it."""
-        told: list[tuple[int, Any]] = []
+        answers: list[tuple[int, Any]] = []
         try:
-            told.append(self.heard.get(timeout=LOOK_S))
+            answers.append(self.heard.get(timeout=LOOK_S))
             until = time.monotonic() + LINGER_S
             while True:
-                told.append(self.heard.get(timeout=max(0.0, until - time.monotonic())))
+                answers.append(self.heard.get(timeout=max(0.0, until - time.monotonic())))
         except queue.Empty:
             pass
-        told = [(number, future) for number, future in told if self.at.get(number) is future]  # not of a lost one
-        done = [one for one in told if one[1].status == "finished"]
-        others = [one for one in told if one not in done]
+        answers = [(number, future) for number, future in answers if self.at.get(number) is future]  # not of a lost one
+        done = [one for one in answers if one[1].status == "finished"]
+        others = [one for one in answers if one not in done]
         try:
             fetched = self._fetched([future for _, future in done], todo)
         except LOST:
@@ -287,13 +287,13 @@ class _Desk:
     def _fetched(self, futures: Sequence[Any], todo: "deque[int]") -> list[bytes]:
         """What came of them. A worker that died with an outcome has it made again; a scheduler that died has not, and a
         client waits for its outcomes for ever: OSError."""
-        told = asyncio.run_coroutine_threadsafe(
+        gathered = asyncio.run_coroutine_threadsafe(
             self.client.gather(futures, asynchronous=True), self.client.loop.asyncio_loop
         )
         while True:
-            done, _ = concurrent.futures.wait([told], timeout=LOOK_S)
+            done, _ = concurrent.futures.wait([gathered], timeout=LOOK_S)
             if done:
-                return list(told.result())
+                return list(gathered.result())
             self._alive()
             self._look(todo)
 

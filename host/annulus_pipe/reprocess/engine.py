@@ -11,7 +11,6 @@ from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.record.walk import DamagedError
-from annulus_pipe.reprocess.bores import with_bores
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
 from annulus_pipe.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus_pipe.reprocess.method import examined
@@ -32,6 +31,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import LedFrame
+from annulus_pipe.wings.crossbore.recorded import with_bores
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 

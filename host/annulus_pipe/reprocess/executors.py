@@ -120,7 +120,7 @@ class _Hand:
     process: SpawnProcess
     line: Connection
     at: int | None = None
-    alive: bool = False  # it has said so: what it ends of from now on is its item
+    alive: bool = False  # it has said so: if it dies from now on, its item is to blame
 
 
 @dataclass(slots=True)
@@ -139,21 +139,21 @@ class _Crew:
         self.hands += [self._hired() for _ in range(workers)]
         while todo or any(hand.at is not None for hand in self.hands):
             heard = wait([hand.line for hand in self.hands])
-            said: list[tuple[int, Any]] = []
+            outcomes: list[tuple[int, Any]] = []
             for hand in [hand for hand in self.hands if hand.line in heard]:
                 outcome = self._heard(hand)
                 if outcome is not None:
-                    number, told = outcome
-                    if isinstance(told, Failed) and told.tries < self.tries:
+                    number, result = outcome
+                    if isinstance(result, Failed) and result.tries < self.tries:
                         todo.append(number)
                     else:
-                        said.append(outcome)
+                        outcomes.append(outcome)
                 if hand in self.hands and hand.at is None and todo:  # before anybody does anything with an outcome
                     self._give(hand, todo)
             for hand in self.hands:  # what had to be tried again, by whom nothing was left for
                 if hand.alive and hand.at is None and todo:
                     self._give(hand, todo)
-            yield from said
+            yield from outcomes
 
     def _hired(self) -> _Hand:
         context = multiprocessing.get_context("spawn")
@@ -172,17 +172,17 @@ class _Crew:
     def _heard(self, hand: _Hand) -> tuple[int, Any] | None:
         """What came of an item; None where a worker has only said that it is there, or has died of nothing."""
         try:
-            number, told = hand.line.recv()
+            number, result = hand.line.recv()
         except (EOFError, OSError):
             return self._dead(hand)
         hand.alive, self.stillborn = True, 0
         if number is None:
             return None
         hand.at = None
-        if isinstance(told, Failed):
+        if isinstance(result, Failed):
             self.tried[number] += 1
-            told = replace(told, tries=self.tried[number])
-        return number, told
+            result = replace(result, tries=self.tried[number])
+        return number, result
 
     def _dead(self, hand: _Hand) -> tuple[int, Any] | None:
         hand.line.close()
@@ -230,20 +230,20 @@ def _work(job: Work[Any, Any], line: Connection, parent: int) -> None:
             number, item = line.recv()
             try:
                 do = do or job.ready()
-                told = do(item)
+                result = do(item)
             except Exception as error:
-                told = replace(failure(error, 1), error=_portable(error))
-            line.send((number, told))
-            del told, item
+                result = replace(failure(error, 1), error=_portable(error))
+            line.send((number, result))
+            del result, item
             libc.malloc_trim(0)  # a window's memory goes back before the next takes its own
 
 
 def _portable(error: Exception) -> Exception:
     """The same as it can travel, with where it was raised."""
-    told = error
+    portable = error
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # whatever its author did not think of
-        told = RuntimeError(f"{type(error).__name__}: {error}")
-    told.add_note(traceback.format_exc())
-    return told
+        portable = RuntimeError(f"{type(error).__name__}: {error}")
+    portable.add_note(traceback.format_exc())
+    return portable

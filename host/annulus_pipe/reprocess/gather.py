@@ -65,8 +65,8 @@ def in_ranges(
         drops["frames_left_out"] = len(left_out)
     else:
         clear(place, facts)
-    told = tuple(_left_out(failed)) + tuple(_processors(facts))
-    return Ranged(job, tuple(facts), told + findings, left_out, frames, drops)
+    remarks = tuple(_left_out(failed)) + tuple(_processors(facts))
+    return Ranged(job, tuple(facts), remarks + findings, left_out, frames, drops)
 
 
 def gathered(ranged: Ranged, place: Place, started: float) -> Reprocessed:

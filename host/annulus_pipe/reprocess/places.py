@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from itertools import groupby, pairwise
 
-from annulus_pipe.numeric.rounding import DISTANCE, off, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, off, quoted, span
 from annulus_pipe.record.copy import missing_of
 from annulus_pipe.record.frames import Z_MAX_MM
 from annulus_pipe.record.missing import missing_told
@@ -70,7 +70,7 @@ def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
             out.append(Finding("place_assumed", text, tuple(frame.index for frame in assumed)))
     begun = [later for earlier, later in pairwise(placed) if later.segment != earlier.segment]
     if begun:
-        where = ", ".join(f"frame {frame.index} at {said(frame.z_mm, DISTANCE)}" for frame in begun[:5])
+        where = ", ".join(f"frame {frame.index} at {quoted(frame.z_mm, DISTANCE)}" for frame in begun[:5])
         text = (
             f"z has {len(begun) + 1} segments, begun anew at {where}{' and more' if len(begun) > 5 else ''}: between "
             "two of them distances were not counted"
@@ -97,7 +97,7 @@ def running_back_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
             was_back = behind > BACK_MM
             deepest = max(deepest, behind)
     if back:
-        where = ", ".join(f"frame {frame.index} at {said(frame.z_mm, DISTANCE)}" for frame in back[:5])
+        where = ", ".join(f"frame {frame.index} at {quoted(frame.z_mm, DISTANCE)}" for frame in back[:5])
         text = (
             f"z runs back by up to {off(deepest, DISTANCE)}, at {where}{' and more' if len(back) > 5 else ''}: unless "
             "the head went back there, the odometer slipped or was reset, and one place of the map has two of the pipe"
@@ -106,8 +106,8 @@ def running_back_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
     if backwards:
         first, last = backwards[0]
         text = (
-            f"z falls over the scan, from {said(first.z_mm, DISTANCE)} to {said(last.z_mm, DISTANCE)}: unless the head "
-            "was drawn back, the odometer counts the wrong way, and the map is wrong along the pipe"
+            f"z falls over the scan, from {quoted(first.z_mm, DISTANCE)} to {quoted(last.z_mm, DISTANCE)}: unless the "
+            "head was drawn back, the odometer counts the wrong way, and the map is wrong along the pipe"
         )
         out.append(Finding("place_backwards", text, tuple(one.index for pair in backwards for one in pair)))
     return out

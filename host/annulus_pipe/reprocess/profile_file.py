@@ -55,8 +55,8 @@ def packed(profiles: Sequence[Profile], about: Mapping[str, Any]) -> bytes:
     for name, unit, array in _columns(arrow, profiles):
         fields.append(arrow.field(name, array.type, metadata={b"unit": unit.encode()}))
         arrays.append(array)
-    told = json.dumps({"format": FORMAT, **about}, sort_keys=True).encode()
-    metadata = {ABOUT: told, DIGEST: _digest(told, profiles).encode()}
+    header = json.dumps({"format": FORMAT, **about}, sort_keys=True).encode()
+    metadata = {ABOUT: header, DIGEST: _digest(header, profiles).encode()}
     table = arrow.Table.from_arrays(arrays, schema=arrow.schema(fields, metadata=metadata))
     out = io.BytesIO()
     # No dictionaries: they would take one NaN for another.
@@ -80,14 +80,14 @@ def unpacked(data: bytes, where: str) -> tuple[tuple[Profile, ...], Mapping[str,
         if file.metadata.num_rows > ROWS_MAX:
             raise ValueError(f"{file.metadata.num_rows} rows, expected at most {ROWS_MAX}")
         table = file.read()
-        told = (table.schema.metadata or {})[ABOUT]
-        about = json.loads(told)
+        header = (table.schema.metadata or {})[ABOUT]
+        about = json.loads(header)
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise ValueError(f"not of format {FORMAT}")
         profiles = _profiles(table)
         for profile in profiles:
             Profile.from_dict(profile.to_dict())  # what a stranger wrote is checked as on the wire
-        if _digest(told, profiles).encode() != table.schema.metadata[DIGEST]:
+        if _digest(header, profiles).encode() != table.schema.metadata[DIGEST]:
             raise ValueError("its checksum is wrong")
     except (arrow.ArrowException, OSError, KeyError, ValueError, TypeError, RecursionError) as error:
         why = str(error).partition("\n")[0]

@@ -119,15 +119,15 @@ def part_of(scan: Scan, kept: Sequence[int]) -> Scan:
     """Those frames of a scan, with what it takes to read them."""
     recording = scan.recording
     if recording is not None:
-        told = tuple(recording.frames[i] for i in kept)
-        needed = {frame.part for frame in told}
+        frames = tuple(recording.frames[i] for i in kept)
+        needed = {frame.part for frame in frames}
         parts = tuple(
             _bare(replace(part, path=_found(part.path)))
             if n in needed
             else replace(_bare(part), path=_found(recording.path), index=None)
             for n, part in enumerate(recording.parts)
         )
-        recording = replace(_bare(recording), path=_found(recording.path), frames=told, parts=parts)
+        recording = replace(_bare(recording), path=_found(recording.path), frames=frames, parts=parts)
     return Scan(_found(scan.path), tuple(scan.frames[i] for i in kept), None, recording)
 
 
@@ -205,8 +205,8 @@ def without_frames(job: Job) -> Job:
 def facts_of(one: Range, name: str, profiles: Sequence[Profile], about: Mapping[str, Any], made: bool) -> Facts:
     """Raises AnnulusError where the profiles are not those of the range."""
     frames, lights = [profile.frame for profile in profiles], about.get("lights")
-    told = about.get("processor")
-    sound = isinstance(lights, list) and len(lights) == len(frames) and isinstance(told, str)
+    made_on = about.get("processor")
+    sound = isinstance(lights, list) and len(lights) == len(frames) and isinstance(made_on, str)
     if not sound or not all(_is_light(light) for light in lights or ()) or not set(frames) <= set(one.indices):
         raise AnnulusError(f"{name}: not the profiles of range {one.number}.")
     rejected: Counter[str] = Counter()
@@ -230,7 +230,7 @@ def facts_of(one: Range, name: str, profiles: Sequence[Profile], about: Mapping[
         (min(low for low, _ in ends), max(high for _, high in ends)),
         stage_medians(profiles),
         made,
-        str(told),
+        str(made_on),
         tuple(map(Reach.of, profiles)),
     )
 

@@ -171,11 +171,11 @@ def relabel(path: Path, out: Path) -> Audit:
     """Write `out`, which must not exist: the same recording with the labels said again. The original stays as it is."""
     recording = open_recording(path)
     found = Audit()
-    said = _said_again(recording, found, PATIENCE_NS)
+    relabelled = _said_again(recording, found, PATIENCE_NS)
     found.lacks += missing_of(recording.torn, recording.cut_frames, recording.check())
 
     def label_of(frame: RecordedFrame) -> Mapping[str, Any]:
-        return _label(recording, frame, said.get((frame.index, frame.camera)))
+        return _label(recording, frame, relabelled.get((frame.index, frame.camera)))
 
     def last(copied: Copied) -> tuple[str, Mapping[str, Any]]:
         found.damaged = len(copied.damaged)
@@ -198,13 +198,13 @@ def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
     for was, now in evidence.said_again(Replay(patience_ns)):
         any_row = True
         frame = recorded.get((was.get("index", -1), was.get("camera", 0)))
-        told: Mapping[str, Any] = recording.label(frame) if frame is not None else was
+        recorded_label: Mapping[str, Any] = recording.label(frame) if frame is not None else was
         found.frames += 1
         if frame is not None:
             out[frame.index, frame.camera] = now
         if now is None:
             found.without_evidence += 1
-        elif (change := _change(told or was, now)) is not None:
+        elif (change := _change(recorded_label or was, now)) is not None:
             found.changes[change] += 1
     found.holes = evidence.holes
     if not any_row and not found.holes:
@@ -240,5 +240,5 @@ def _label(recording: Recording, frame: RecordedFrame, now: FrameHeader | None) 
     label = dict(recording.label(frame)) or {"index": frame.index, "camera": frame.camera, "reason": ""}
     if now is None:
         return {**label, "label": Label.UNKNOWN.value, "reason": NO_EVIDENCE, "z_mm": None}
-    said = now.to_dict()
-    return {**label, **{name: said[name] for name in LABEL if name not in ("index", "camera")}}
+    now_fields = now.to_dict()
+    return {**label, **{name: now_fields[name] for name in LABEL if name not in ("index", "camera")}}

@@ -25,12 +25,12 @@ def measured_with() -> Mapping[str, str]:
     """Digest of the sources of all rooms between a frame and its profile, versions of what they call."""
     import numba
 
-    told = {"annulus": _sources()}
-    told |= {name: str(import_module(name).__version__) for name in PACKAGES}
-    told["python"] = ".".join(platform.python_version_tuple()[:2])
-    told["machine"] = platform.machine()
-    told["numba flags"] = f"opt {int(numba.config.OPT)}{', no jit' if numba.config.DISABLE_JIT else ''}"
-    return told
+    versions = {"annulus": _sources()}
+    versions |= {name: str(import_module(name).__version__) for name in PACKAGES}
+    versions["python"] = ".".join(platform.python_version_tuple()[:2])
+    versions["machine"] = platform.machine()
+    versions["numba flags"] = f"opt {int(numba.config.OPT)}{', no jit' if numba.config.DISABLE_JIT else ''}"
+    return versions
 
 
 @functools.cache
@@ -52,8 +52,8 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> str:
 def made_with() -> Mapping[str, str]:
     """The same of whole results: of all rooms, and what draws and writes."""
     root = Path(str(resources.files("annulus_pipe")))
-    told = {name: str(import_module(name).__version__) for name in ("matplotlib", "PIL")}
-    return {**measured_with(), **told, "annulus": _digest(root, root.rglob("*.py"))}
+    versions = {name: str(import_module(name).__version__) for name in ("matplotlib", "PIL")}
+    return {**measured_with(), **versions, "annulus": _digest(root, root.rglob("*.py"))}
 
 
 def _sources() -> str:
@@ -69,8 +69,8 @@ def _digest(root: Path, paths: Iterable[Path]) -> str:
 
 
 def address(*values: Any) -> str:
-    """SHA-256 of values, in hex: of dataclasses by their names and fields, of arrays and numbers to the bit. A path has
-    no say: what is moved stays what it is. TypeError for a value of another kind."""
+    """SHA-256 of values, in hex: of dataclasses by their names and fields, of arrays and numbers to the bit. Paths are
+    left out, so that moving a file does not change the address. TypeError for a value of another kind."""
     digest = hashlib.sha256()
     for value in values:
         _feed(digest, value)

@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.record.storage import Place
-from annulus_pipe.reprocess.bores import with_bores
 from annulus_pipe.reprocess.engine import Progress, reprocess
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.gather import Ranged, gathered, in_ranges
@@ -34,6 +33,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.windows import POINTS_MAX, Reach, plan
+from annulus_pipe.wings.crossbore.recorded import with_bores
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
 WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
@@ -89,7 +89,7 @@ class Filed:
         return self.facts[own].frames[within]
 
     def _at(self, number: int) -> tuple[int, int]:
-        """Which range, and which of its frames."""
+        """The number of the range that a frame is in, and its place in that."""
         own = bisect.bisect_right(self.first, number) - 1
         return own, number - self.first[own]
 
@@ -143,9 +143,9 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps, scale=scale
         )
-        told = with_bores(done.job.scan, done.profiles, pipe)
+        complete = with_bores(done.job.scan, done.profiles, pipe)
         timing_ms = {**done.timing_ms, **timing}
-        return Surveyed(done.job, told, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
+        return Surveyed(done.job, complete, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
     with _ranges_in(place, keep):
         ranged = in_ranges(job, place, executor, progress)
         counts = len(ranged.facts), ranged.made, len(ranged.left_out)
@@ -160,9 +160,9 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             ranged.job, filed, cut, files, _fewer(executor), progress, vibration=vibration, fps=fps, scale=scale
         )
-    told = with_bores(ranged.job.scan, _poses(ranged), pipe)
+    complete = with_bores(ranged.job.scan, _poses(ranged), pipe)
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
-    return Surveyed(ranged.job, told, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
+    return Surveyed(ranged.job, complete, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
 
 
 @contextlib.contextmanager

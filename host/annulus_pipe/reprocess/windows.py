@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from annulus_pipe.numeric.rounding import DISTANCE, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, quoted, span
 from annulus_pipe.record.scan import Scan
 from annulus_pipe.reprocess.abstract_file import packed, unpacked
 from annulus_pipe.reprocess.engine import LedFrames, Progress
@@ -65,7 +65,7 @@ class Files(Protocol):
         """The same of what is there now."""
         ...
 
-    def keep(self, number: int, told: bytes) -> None:
+    def keep(self, number: int, data: bytes) -> None:
         """Beside them, what the whole is told from."""
         ...
 
@@ -142,11 +142,11 @@ class WindowWork:
         except AnnulusError as error:
             return Finding(NOT_MEASURED, f"nothing is measured {_where(window)}: {error}")
         digests = self.files(portion.number, kept, job)
-        told = abstract(kept, window, self.whole_step_mm)
+        summary = abstract(kept, window, self.whole_step_mm)
         if made_from is not None:
             about = {"made_from": made_from, "files": digests}
-            self.files.keep(portion.number, packed(told, about))
-        return told
+            self.files.keep(portion.number, packed(summary, about))
+        return summary
 
     def _made_from(self, portion: Portion) -> str | None:
         """Address of all that a window's files and its abstract follow from; None where that is not known."""
@@ -174,14 +174,14 @@ class WindowWork:
         if kept is None:
             return None
         try:
-            told, about = unpacked(kept)
+            summary, about = unpacked(kept)
         except ValueError:  # half of it, or another's: made anew
             return None
         written = about.get("files")
         if about.get("made_from") != made_from or not isinstance(written, dict):
             return None
         there = self.files.digests(number)
-        return told if all(there.get(name) == digest for name, digest in written.items()) else None
+        return summary if all(there.get(name) == digest for name, digest in written.items()) else None
 
 
 def survey_windows(
@@ -217,8 +217,8 @@ def survey_windows(
         report("wall", len(parts) + len(findings), len(portions))
     if not parts:
         raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
-    told = [*(findings[number] for number in sorted(findings)), *_thinned(plan.windows)]
-    pipe = joined([parts[number] for number in sorted(parts)], told)
+    remarks = [*(findings[number] for number in sorted(findings)), *_thinned(plan.windows)]
+    pipe = joined([parts[number] for number in sorted(parts)], remarks)
     return pipe, tuple(sorted(parts)), {"windows": 1e3 * (time.perf_counter() - began)}
 
 
@@ -231,7 +231,7 @@ def _thinned(windows: Sequence[Window]) -> Iterator[Finding]:
 
 def _where(window: Window) -> str:
     if math.isinf(window.first_mm):
-        return f"before {said(window.last_mm, DISTANCE)}"
+        return f"before {quoted(window.last_mm, DISTANCE)}"
     if math.isinf(window.last_mm):
-        return f"behind {said(window.first_mm, DISTANCE)}"
+        return f"behind {quoted(window.first_mm, DISTANCE)}"
     return f"from {span(window.first_mm, window.last_mm, DISTANCE)}"

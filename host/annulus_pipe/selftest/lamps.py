@@ -175,11 +175,11 @@ def _order(scope: Scope) -> Row:
     scope.disarm()
     scope.stand(ORDER_EDGES * ORDER_PERIOD / TICK_HZ + 1.0)
     letters = {Lamp.PROJECTOR: "P", Lamp.LED: "L", Lamp.DARK: "-"}
-    told = "".join(letters[e.lamp] for e in _events(scope, EdgeEvent))[: len(seen)]
+    reported = "".join(letters[e.lamp] for e in _events(scope, EdgeEvent))[: len(seen)]
     expected = ("PPPPL" * 3)[:ORDER_EDGES]
-    said = "" if told == seen else f"; told {told}"
+    remark = "" if reported == seen else f"; told {reported}"
     return judged(
-        "Order of the lamps", "4 projector, 1 LED", f"{seen}{said}", seen == expected and told == seen, unit=""
+        "Order of the lamps", "4 projector, 1 LED", f"{seen}{remark}", seen == expected and reported == seen, unit=""
     )
 
 

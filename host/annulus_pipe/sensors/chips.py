@@ -21,24 +21,24 @@ class ChipKind:
     build: Callable[[Bus, int, str, Settings], Reader]
 
 
-def _fdc2214(bus: Bus, address: int, name: str, told: Settings) -> Reader:
-    adc = Ads1115(bus, int(told["adc_address"])) if "adc_address" in told else None
-    chip = Fdc2214(bus, address, _tank(told), adc, name)
+def _fdc2214(bus: Bus, address: int, name: str, settings: Settings) -> Reader:
+    adc = Ads1115(bus, int(settings["adc_address"])) if "adc_address" in settings else None
+    chip = Fdc2214(bus, address, _tank(settings), adc, name)
     if adc is not None:
         adc.faults = chip.faults  # one sample, one count
     return chip
 
 
-def _tank(told: Settings) -> Tank:
+def _tank(settings: Settings) -> Tank:
     usual = {field.name: type(getattr(TANK, field.name)) for field in fields(Tank)}
-    return Tank(**{name: usual[name](value) for name, value in told.items() if name in usual})
+    return Tank(**{name: usual[name](value) for name, value in settings.items() if name in usual})
 
 
-def _ina226(bus: Bus, address: int, name: str, told: Settings) -> Reader:
-    return Ina226(bus, address, Rail(**dict(told)), name)
+def _ina226(bus: Bus, address: int, name: str, settings: Settings) -> Reader:
+    return Ina226(bus, address, Rail(**dict(settings)), name)
 
 
-def _mpu6050(bus: Bus, address: int, name: str, told: Settings) -> Reader:
+def _mpu6050(bus: Bus, address: int, name: str, settings: Settings) -> Reader:
     return Mpu6050(bus, address, name)
 
 

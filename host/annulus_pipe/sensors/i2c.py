@@ -154,7 +154,7 @@ class I2cSensors:
         self._bus, self._readers, self._period = bus, list(readers), period_s
         self._samples: deque[Sample] = deque(maxlen=SAMPLES_KEPT)
         self._gone: dict[str, tuple[float, str]] = {}  # by reader: when it is looked at again, why it is gone
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._ready: set[str] = set()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -180,7 +180,7 @@ class I2cSensors:
                 self._gone[reader.name] = (now_s + BACK_OFF_S, str(error))
                 continue
             self._gone.pop(reader.name, None)
-            self._told.discard(reader.name)
+            self._reported.discard(reader.name)
             if len(self._samples) == SAMPLES_KEPT:
                 self.dropped += 1
             self._head_c = values.get("temperature_c", self._head_c)
@@ -194,8 +194,8 @@ class I2cSensors:
             samples.append(self._samples.popleft())
         if not samples:
             for name, (_, why) in list(self._gone.items()):
-                if name not in self._told:
-                    self._told.add(name)
+                if name not in self._reported:
+                    self._reported.add(name)
                     raise I2cError(why)
         return samples
 

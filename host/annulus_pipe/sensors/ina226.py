@@ -30,13 +30,14 @@ class Rail:
     derated_a_per_k: float = 0.0
 
     def limit_a(self, head_c: float) -> float:
-        """The most it may draw in a head so warm; of one whose temperature nobody told, all of it."""
+        """The most it may draw in a head so warm, not derated while the temperature is not known."""
         over = max(head_c - self.derated_from_c, 0.0) if math.isfinite(head_c) else 0.0
         return max(self.most_a - self.derated_a_per_k * over, 0.0)
 
     @property
     def calibration(self) -> int:
-        """For the chip's own current register, 1 mA a count; ours is computed, so that no rounding is in it."""
+        """For the chip's own current register, 1 mA a count. We do not read that: we compute the current from the shunt
+        voltage, without its rounding."""
         return min(round(0.00512 / (1e-3 * self.shunt_mohm * 1e-3)), 0x7FFF)
 
 
@@ -65,6 +66,6 @@ class Ina226(Chip):
         dark = bool(self.lit) and 1000 * amperes < self._rail.draws_ma
         limit = self._rail.limit_a(self.head_c)
         wrong = {"undervoltage": volts < self._rail.least_v, "overcurrent": abs(amperes) > limit, "draws_nothing": dark}
-        said = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
+        measured = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
         units = {"voltage_v": "V", "current_a": "A", "current_limit_a": "A"}
-        return said | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")
+        return measured | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")

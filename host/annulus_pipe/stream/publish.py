@@ -100,9 +100,9 @@ class Publisher:
         asked = set()
         with contextlib.suppress(zmq.Again):
             while not self._flooded:
-                said = self._socket.recv(zmq.NOBLOCK)
-                if self._heard(said):
-                    asked.add(said[1:])
+                message = self._socket.recv(zmq.NOBLOCK)
+                if self._heard(message):
+                    asked.add(message[1:])
         if self._flooded:
             self.floods += 1
             self.close()
@@ -122,21 +122,21 @@ class Publisher:
     def _flooded(self) -> bool:
         return self._strange > STRANGE_MAX or self._standing_bytes > STANDING_MAX
 
-    def _heard(self, said: bytes) -> bool:
+    def _heard(self, message: bytes) -> bool:
         """libzmq tells of each who asks for a prefix, and when nobody does any more. Returns whether it was one that
         asks for something there may be.
         """
-        prefix = said[1:]
+        prefix = message[1:]
         if not _is_known(prefix):
-            self._strange += len(said)
+            self._strange += len(message)
             return False
-        if said[:1] == b"\1" and prefix not in self._standing:
+        if message[:1] == b"\1" and prefix not in self._standing:
             self._standing.add(prefix)
-            self._standing_bytes += len(said)
-        elif said[:1] == b"\0" and prefix in self._standing:
+            self._standing_bytes += len(message)
+        elif message[:1] == b"\0" and prefix in self._standing:
             self._standing.remove(prefix)
-            self._standing_bytes -= len(said)
-        return said[:1] == b"\1"
+            self._standing_bytes -= len(message)
+        return message[:1] == b"\1"
 
     def _bound(self) -> zmq.Socket[bytes]:
         self._strange = self._standing_bytes = 0

@@ -102,8 +102,8 @@ class CameraServer:
 
     def _hear(self, viewer: socket.socket) -> None:
         try:
-            while told := viewer.recv(MESSAGE_MAX):
-                message = untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "what was told")
+            while data := viewer.recv(MESSAGE_MAX):
+                message = untrusted.mapping(untrusted.parse_json(data, MESSAGE_MAX), "what was told")
                 if message["do"] == "release":
                     self._held.remove(message["slot"])
                     self._free.append(message["slot"])

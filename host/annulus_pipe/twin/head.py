@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.link.pins import AS_WIRED, Pins, pins_list
-from annulus_pipe.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.profiles import load_faults
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, demo_world, mirror_fringe_world, series_world, stereo_world
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.ground import ROOM_M, Ground, some_ground
 
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
@@ -179,10 +179,10 @@ def start_head(
     )
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    said: list[bytes] = []
+    printed: list[bytes] = []
     listeners = [
         threading.Thread(target=_collect, args=(stream, keep), daemon=True)
-        for stream, keep in ((process.stdout, lines.put), (process.stderr, said.append))
+        for stream, keep in ((process.stdout, lines.put), (process.stderr, printed.append))
     ]
     for listener in listeners:
         listener.start()
@@ -199,7 +199,7 @@ def start_head(
         process.wait()
         if isinstance(error, queue.Empty | OSError | ValueError | KeyError):
             listeners[1].join(1.0)
-            spoken = [line for line in said if line.strip()]
+            spoken = [line for line in printed if line.strip()]
             last = spoken[-1].decode(errors="replace").strip() if spoken else "it said nothing"
             raise AnnulusError(f"twin head: did not start ({last})") from None
         raise

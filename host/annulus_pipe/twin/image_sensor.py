@@ -126,7 +126,7 @@ class ImageSensor:
         self._ended = 0  # frames handed out
         self._announced = 0  # frames whose sync pulses were handed out
         self._announces = self.edge(0) - self._readout  # tick at which that of the next one begins
-        self._told = start_tick - 1  # stimuli up to here were handed out
+        self._handed_out = start_tick - 1  # stimuli up to here were handed out
         self._pending: list[Stimulus] = []
         self._gates = {PIN_PROJECTOR: _Gate(), PIN_LED: _Gate()}
         self.cable = Cable(world.travel_mm, world.mm_per_count, start_tick, speed_mm_s)
@@ -150,8 +150,8 @@ class ImageSensor:
 
     def pull(self, tick: int, speed_mm_s: float) -> None:
         """From `tick` on the cable moves at this speed, until the end of the world's travel; 0 stops it."""
-        if tick <= self._told:
-            raise ValueError(f"the cable's way up to tick {self._told} is already told, {tick} is too late")
+        if tick <= self._handed_out:
+            raise ValueError(f"the cable's way up to tick {self._handed_out} is already told, {tick} is too late")
         self.cable.pull(tick, speed_mm_s)
 
     def is_lit(self, pin: int, level: int) -> bool:
@@ -164,14 +164,14 @@ class ImageSensor:
 
     def stimuli(self, until: int) -> list[Stimulus]:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
-        if self._told < self._start:
+        if self._handed_out < self._start:
             self._pending += [(self._start, pin, level) for pin, level in self.levels()]
         while self._announces <= until:
             self._pending += self._sync_of(self._announced)
             self._announced += 1
             self._announces = self.edge(self._announced) - self._readout
-        self._pending += self.cable.stimuli(self._told, until, self._history)
-        self._told = max(self._told, until)
+        self._pending += self.cable.stimuli(self._handed_out, until, self._history)
+        self._handed_out = max(self._handed_out, until)
         if not self._pending:
             return []
         self._pending.sort(key=itemgetter(0))

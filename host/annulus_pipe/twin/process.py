@@ -25,7 +25,6 @@ from annulus_pipe.link.messages import BootCause
 from annulus_pipe.link.pins import pins_from
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.twin.camera_server import CameraServer
-from annulus_pipe.twin.capacitance import ground_of
 from annulus_pipe.twin.drawing import Drawing, Job
 from annulus_pipe.twin.driver import Driver
 from annulus_pipe.twin.emulated import EmulatedBoard, open_board
@@ -37,6 +36,7 @@ from annulus_pipe.twin.sensors import HeadSensors
 from annulus_pipe.twin.triggered import sensor_of
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.ground import ground_of
 
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
 LEVEL = 20  # of SCHED_FIFO, 1..99; before the daemon's 10
@@ -257,8 +257,8 @@ class Head:
         if self.pull_at is not None and now >= self.pull_at:
             self.sensor.pull(now + 1, self.speed_mm_s)
             self.pull_at = None
-        said = self.board.serial_read()
-        self.to_host += self.line.carry(said if now >= self.unplugged_until else b"")
+        data = self.board.serial_read()
+        self.to_host += self.line.carry(data if now >= self.unplugged_until else b"")
         if self.to_host:
             del self.to_host[: self.serial.write(bytes(self.to_host))]
             if len(self.to_host) > 65536:  # nobody reads: a real line would have lost it too

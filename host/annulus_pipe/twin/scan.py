@@ -76,8 +76,8 @@ def write_scan(
                     raw = renderer.render(pose, z_mm, float(not led), float(led), slot=slot, seed=index)
                     name = f"frames/{index:06d}{f'-{camera}' if several else ''}.png"
                     cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-                    told = [*([camera] if several else []), *([slot] if fringes else [])]
-                    table.writerow([index, name, lamp, f"{z_mm:.4f}", *roll, *told])
+                    cells = [*([camera] if several else []), *([slot] if fringes else [])]
+                    table.writerow([index, name, lamp, f"{z_mm:.4f}", *roll, *cells])
                 if progress is not None:
                     progress("frames", index + 1, frames)
     except OSError as error:

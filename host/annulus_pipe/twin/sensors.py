@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from annulus_pipe.controller import PIN_LED, PIN_PROJECTOR, TICK_S
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.twin.cable import Cable
-from annulus_pipe.twin.capacitance import MUX_S, Buried, Ground
 from annulus_pipe.twin.faults import NO_FAULTS, Faults
 from annulus_pipe.twin.image_sensor import HostClock
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.ground import MUX_S, Buried, Ground
 
 LATE_NS = 500_000  # the bus is read so long after a value was taken, at most
 GRAVITY_M_S2 = 9.81

@@ -127,7 +127,7 @@ class SoakWorld:
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
         mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
-        self.labelling = Labelling(mode, self.navigation, self._told, False, without=without)
+        self.labelling = Labelling(mode, self.navigation, self._reported, False, without=without)
         place_mm = PLACE_MM + (SPEED_MAX_MM_S * self.timing.period_us * 1e-6 if trigger != "none" else 0.0)
         self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable, place_mm)
         self.on_the_way: deque[Delivered] = deque()
@@ -293,7 +293,7 @@ class SoakWorld:
 
     # ---- the host's turn ----
 
-    def _told(self, kind: str, text: str) -> None:
+    def _reported(self, kind: str, text: str) -> None:
         self.last_told = self.number
 
     def _host(self) -> None:
@@ -331,8 +331,8 @@ class SoakWorld:
             if not any(part.exposure.lamps for part in one.frame.parts):
                 self.unlit += 1
                 self.dark.append(number)
-            told = self.last_told >= self.unknown_since - TOLD_BEFORE
-            self.untold += not told and number - self.unknown_since > QUIET_FRAMES
+            reported = self.last_told >= self.unknown_since - TOLD_BEFORE
+            self.untold += not reported and number - self.unknown_since > QUIET_FRAMES
             return
         self.unknown_since = None
         if verdict is Verdict.RIGHT:

@@ -49,9 +49,9 @@ class TriggeredSensor(ImageSensor):
         return super()._sync_of(frame) if self._on_sync else []
 
     def exposures(self, now: int, transitions: Iterable[Sequence[int]] | NDArray[Any] = ()) -> list[Exposure]:
-        told = transitions.tolist() if isinstance(transitions, np.ndarray) else list(transitions)
-        self._lamps_moved(told)
-        for tick, pin, level in told:
+        moves = transitions.tolist() if isinstance(transitions, np.ndarray) else list(transitions)
+        self._lamps_moved(moves)
+        for tick, pin, level in moves:
             if pin == PIN_CAMERA_TRIGGER and level == self._active:
                 self._since = tick
             elif pin == PIN_CAMERA_TRIGGER and self._since is not None:

@@ -1,7 +1,7 @@
 """How accurate a survey is, as far as the survey itself knows: tolerances at a certainty of 95 %.
 
 Each tolerance is an expanded uncertainty (k = 2) of what this scan measured: from what its points say they may be off,
-the noise of its map, and how well its shape is known. What it says nothing of is a tolerance of NaN.
+the noise of its map, and how well its shape is known. A tolerance that these do not give is NaN.
 """
 
 import math

@@ -346,8 +346,8 @@ def cost_of(residual: FloatArray, sigma: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R * BIAS,); the rest as `Adjusted` has it, of
-    points that count as one each. `answers` (n, m): how the free numbers answer to each residual asked about."""
+    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R * BIAS,); the rest as in `Adjusted`, as if
+    points were independent. `answers` (n, m): how the free numbers answer to each residual asked about."""
 
     heads: FloatArray
     pieces: FloatArray

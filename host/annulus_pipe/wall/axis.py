@@ -258,7 +258,7 @@ def _goes_over(found: Adjusted, i: int) -> bool:
 
 
 def _begins_something(found: Adjusted, i: int, kind: Begins, radius: float) -> bool:
-    """Whether what a piece differs by from the one before it matters; of a joint, what is sure of it."""
+    """Whether a piece differs enough from the one before it; at a joint, by more than its uncertainty."""
     pieces = found.state.pieces
     size = np.concatenate(
         [

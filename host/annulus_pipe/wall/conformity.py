@@ -267,12 +267,12 @@ def _of_place(group: Group, index: int, place: Defect, survey: Survey, criteria:
 
 
 def _of_feature(index: int, feature: Feature, criteria: Criteria) -> Iterator[Judged]:
-    told = not feature.remark.startswith(NOT_TOLD)
+    identified = not feature.remark.startswith(NOT_TOLD)
     for kind in _kinds(feature):
         for quantity in _limited(criteria, kind):
             name = _MEASURED.get(quantity, quantity)
             found = next((one for one in feature.measures if one.name == name), None)
-            if found is None and kind is FeatureKind.JOINT and quantity in _MEASURED and told:
+            if found is None and kind is FeatureKind.JOINT and quantity in _MEASURED and identified:
                 continue  # a coupling has no bead
             value, k2 = (math.nan, math.nan) if found is None else (abs(found.value), found.k2)
             yield _item(criteria, "feature", index, kind, quantity, value, k2, feature.z_mm)
@@ -355,9 +355,11 @@ def _item(
 ) -> Judged:
     limit, lower = criteria.limit(kind, quantity), QUANTITIES[kind][quantity].lower
     off = (k2 if math.isfinite(k2) else 0.0) * (-1.0 if lower else 1.0)
-    least, said, most = (criteria.severity(kind, quantity, value + side * off) for side in (-1.0, 0.0, 1.0))
+    least, measured, most = (criteria.severity(kind, quantity, value + side * off) for side in (-1.0, 0.0, 1.0))
     decision = decide(value, k2, limit, lower=lower, at_least=at_least)
-    return Judged(group, index, str(kind), quantity, value, k2, limit, (least, said, most), decision, z_mm, at_least)
+    return Judged(
+        group, index, str(kind), quantity, value, k2, limit, (least, measured, most), decision, z_mm, at_least
+    )
 
 
 def _limited(criteria: Criteria, kind: str) -> tuple[str, ...]:

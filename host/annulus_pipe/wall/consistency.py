@@ -48,8 +48,8 @@ def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
     cell = row * COLUMNS + column
     order = np.argsort(cell, kind="stable")
     start = np.searchsorted(cell[order], np.arange(rows * COLUMNS + 1))
-    said = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
-    weight = np.nan_to_num(1.0 / np.maximum(said, SURE * AGREE_OF_RADIUS * usual), nan=1.0)
+    sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
+    weight = np.nan_to_num(1.0 / np.maximum(sigma, SURE * AGREE_OF_RADIUS * usual), nan=1.0)
     good = np.empty(len(radius), np.bool_)
     good[order] = _vote(
         start, frame[order], radius[order], weight[order], row[order], column[order], rows, AGREE_OF_RADIUS * usual

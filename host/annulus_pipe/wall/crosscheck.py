@@ -58,7 +58,7 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     scatter scales what its points said of their own noise and pose: upwards only as long as the poses are the frames'
     own, for neighbours err a little alike; of a pipe of pieces they are not. Where frames do not overlap, sigma stays.
     """
-    used = [profile for profile in profiles if _said(profile)]
+    used = [profile for profile in profiles if _states_sigma_by_ring(profile)]
     if not used:
         return tuple(profiles)
     rings = max(len(p.ring_sigma_mm) for p in used)
@@ -76,7 +76,7 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     known = np.isfinite(noise)
     out, at = [], 0
     for profile in profiles:
-        if not _said(profile):
+        if not _states_sigma_by_ring(profile):
             out.append(profile)
             continue
         mine = slice(at, at + len(profile.ring))
@@ -109,15 +109,15 @@ def with_edges(profiles: Sequence[Profile], wall: Wall) -> tuple[Profile, ...]:
     return tuple(out)
 
 
-def _said(profile: Profile) -> bool:
+def _states_sigma_by_ring(profile: Profile) -> bool:
     return len(profile.ring) > 0 and len(profile.ring_sigma_mm) > int(profile.ring.max())
 
 
 def _parts(profile: Profile) -> tuple[FloatArray, FloatArray]:
     """Per point, mm^2: what it said of noise and pose; what no frame can show."""
     drawn, hidden = profile.ring_sigma_mm.astype(np.float64)[profile.ring].T
-    said = profile.sigma_mm.astype(np.float64) ** 2
-    return np.maximum(said - drawn**2 - hidden**2, 1e-6 * said), hidden**2
+    variance = profile.sigma_mm.astype(np.float64) ** 2
+    return np.maximum(variance - drawn**2 - hidden**2, 1e-6 * variance), hidden**2
 
 
 def _pairs(profiles: Sequence[Profile], ring: NDArray[np.intp], centreline: Centreline) -> _Pairs:

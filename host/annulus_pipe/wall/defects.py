@@ -67,9 +67,9 @@ LIGHT_LOST = 0.25  # part of a loss's outline that is dark and no rim's shadow: 
 OUTLINE_SEEN = 0.5  # part of a bump's outline that was seen: less, and it may be a rim about what was not seen
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
-MANY = 6  # places near each other of which nothing is known but that rings differ: more share one line
+MANY = 6  # places near each other where only rings differ: more of them share one line of the report
 CUT_OFF = 0.5  # part of a side of them that is lined by what was not seen: as much, and the floor may go on there
-AGREED_OF = 0.1  # part of a look's points in a place: what is deeper of them is noise
+AGREED_OF = 0.1  # part of a look's points in a place: the deepest so many are noise
 WIDE_ENOUGH = 0.15  # part of its widest row: a row of a place that counts for its length
 
 
@@ -245,7 +245,8 @@ def _nameless(
 
 
 def _may_be_level(defect: Defect, wall: Wall) -> bool:
-    """Whether it is as a chord across the bottom is, along some of the pipe: as wide as it is high, and no dome is."""
+    """Whether it may be a level seen from above: along some of the pipe as wide as a chord of its height at the bottom,
+    which no dome is."""
     radius = wall.mean_radius_mm
     if defect.kind is not Kind.BUMP or abs(defect.clock_deg - 180.0) > OFF_DEG or not 0.0 < defect.depth_mm < radius:
         return False

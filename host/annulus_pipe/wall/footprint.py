@@ -27,10 +27,10 @@ MOST = 0.25  # of a slit's width: a middle that would be farther off is at an ed
 def slit_angles(profiles: Sequence[Profile], rings: int) -> FloatArray:
     """(K,) half of the angle between the edges of each ring's slit, radians, the median over the frames; 0 where
     nobody said."""
-    said = [profile.slit_rad[:rings] for profile in profiles if len(profile.slit_rad) >= rings]
-    if not said:
+    angles = [profile.slit_rad[:rings] for profile in profiles if len(profile.slit_rad) >= rings]
+    if not angles:
         return np.zeros(rings)
-    of = np.where(np.array(said) > 0, np.array(said, dtype=np.float64), np.nan)
+    of = np.where(np.array(angles) > 0, np.array(angles, dtype=np.float64), np.nan)
     return np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in of.T])
 
 

@@ -73,24 +73,24 @@ def weigh(
     links = _links(frame, turns)
     if links is None:
         return found, ()
-    said = _difference(seen, found.state, links)
-    by_line = _by_line(seen, found, links, said)
-    tie = _tie(seen, found, links, said)
+    difference = _difference(seen, found.state, links)
+    by_line = _by_line(seen, found, links, difference)
+    tie = _tie(seen, found, links, difference)
     n = len(found.free)
     design = np.concatenate([-by_line, np.kron(links.frames[:, None], np.eye(3))], axis=1)
     rings = found.covariance
     frames = links.frames[:, None]
-    left = said - frames * np.clip(np.median(said / frames, axis=0), -BIAS_SIGMA, BIAS_SIGMA)
+    left = difference - frames * np.clip(np.median(difference / frames, axis=0), -BIAS_SIGMA, BIAS_SIGMA)
     # what it scatters about any line near the rings' is its noise; that its own line is another one is not
     for _ in range(ROUNDS):
         noise = _noise(left, links.frames)
         off = left / (LIMITED * noise * np.sqrt(frames))
         band = tie.copy()
         band[-1] += (noise**2 * frames * np.maximum(off**2, 1.0)).ravel()
-        counted = solveh_banded(band, np.column_stack([design, said.ravel()]))
+        counted = solveh_banded(band, np.column_stack([design, difference.ravel()]))
         normal, right = design.T @ counted[:, :-1], design.T @ counted[:, -1]
         step, covariance = _solved(normal, right, LOOSE**2 * rings)
-        left = said - (design @ step).reshape(-1, 3)
+        left = difference - (design @ step).reshape(-1, 3)
     apart = float(step[:n] @ np.linalg.solve(rings + covariance[:n, :n], step[:n]))
     step, covariance = _solved(normal, right, rings)
     pieces = found.state.pieces.copy()
@@ -143,22 +143,22 @@ def _difference(seen: Sightings, state: State, links: _Links) -> FloatArray:
     return np.asarray(Rotation.from_matrix(turned.transpose(0, 2, 1) @ links.turned).as_rotvec())
 
 
-def _by_line(seen: Sightings, found: Adjusted, links: _Links, said: FloatArray) -> FloatArray:
+def _by_line(seen: Sightings, found: Adjusted, links: _Links, difference: FloatArray) -> FloatArray:
     """(3 E, n) what each free number of the line does to the difference, heads following."""
-    out = np.empty((said.size, len(found.free)))
+    out = np.empty((difference.size, len(found.free)))
     for j, column in enumerate(found.free):
         step = PIECE_STEPS[column % PIECE]
         pieces = found.state.pieces.copy()
         pieces.flat[column] += step
         moved = replace(found.state, pieces=pieces, heads=found.state.heads + step * found.follow[:, :, j])
-        out[:, j] = (_difference(seen, moved, links) - said).ravel() / step
+        out[:, j] = (_difference(seen, moved, links) - difference).ravel() / step
     return out
 
 
-def _tie(seen: Sightings, found: Adjusted, links: _Links, said: FloatArray) -> FloatArray:
+def _tie(seen: Sightings, found: Adjusted, links: _Links, difference: FloatArray) -> FloatArray:
     """(6, 3 E) upper band of the differences' covariance from errors of the heads: links that share one are
     neighbours."""
-    e = len(said)
+    e = len(difference)
     by_a, by_b = np.zeros((e, 3, HEAD)), np.zeros((e, 3, HEAD))
     for i in (0, 1, 4):
         for by, mine in ((by_a, links.a), (by_b, links.b)):
@@ -166,7 +166,7 @@ def _tie(seen: Sightings, found: Adjusted, links: _Links, said: FloatArray) -> F
             for part in (slice(0, None, 2), slice(1, None, 2)):
                 heads = found.state.heads.copy()
                 heads[mine[part], i] += HEAD_STEPS[i]
-                change = (_difference(seen, replace(found.state, heads=heads), links) - said) / HEAD_STEPS[i]
+                change = (_difference(seen, replace(found.state, heads=heads), links) - difference) / HEAD_STEPS[i]
                 by[part, :, i] = change[part]
     cover_a, cover_b = found.head_covariance[links.a], found.head_covariance[links.b]
     block = by_a @ cover_a @ by_a.transpose(0, 2, 1) + by_b @ cover_b @ by_b.transpose(0, 2, 1)

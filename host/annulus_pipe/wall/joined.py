@@ -25,7 +25,7 @@ from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import in_one
 from annulus_pipe.wall.windows import Window
 
-TOUCH_MM = 1.0  # of two findings of neighbours that are one: what may lie between their ends, beside a row
+TOUCH_MM = 1.0  # beside a row: findings of two neighbouring windows whose ends are closer than this are one
 Found = TypeVar("Found", Defect, Feature)
 
 
@@ -79,7 +79,7 @@ class Sums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joined(Survey):
-    """A survey of many windows: its map in longer rows, no cloud; what is counted is counted over all of them."""
+    """A survey of many windows: its map in longer rows, no cloud; counts are over all windows."""
 
     sums: Sums = field(default_factory=Sums)
 
@@ -174,8 +174,8 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
     surveys = [part.survey for part in parts]
     cuts = [part.window.last_mm for part in parts[:-1]]
     step = max(one.wall.z_step_mm for one in surveys)
-    defects, number = _told_once([one.defects for one in surveys], cuts, step, _one_defect)
-    features, _ = _told_once([one.features for one in surveys], cuts, step, _one_feature)
+    defects, number = _each_once([one.defects for one in surveys], cuts, step, _one_defect)
+    features, _ = _each_once([one.features for one in surveys], cuts, step, _one_feature)
     rows = _Rows.of([one.wall for one in surveys], step)
     label = rows.laid([of[one.detection.label] for of, one in zip(number, surveys, strict=True)], 0)
     sums = Sums()
@@ -223,7 +223,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
 
 
 def centreline_of(parts: Sequence[Abstract]) -> Centreline:
-    """Of all windows' pieces, each as far as its own window goes; a piece that goes on over a cut goes on."""
+    """The pieces of all windows, each cut off at its window's ends; one that crosses a cut becomes one piece again."""
     pieces: list[Piece] = []
     for part in parts:
         first, last = part.window.first_mm, part.window.last_mm
@@ -242,14 +242,15 @@ def centreline_of(parts: Sequence[Abstract]) -> Centreline:
     return Centreline(pieces)
 
 
-def _told_once(
+def _each_once(
     found: Sequence[Sequence[Found]], cuts: Sequence[float], step_mm: float, one: Callable[[Found, Found], Found]
 ) -> tuple[list[Found], list[NDArray[np.int32]]]:
-    """All findings in the order of the pipe, those at a cut once; and of each window what number, from 1, each of its
-    own became, 0 of one that became none (and of none: the first)."""
-    told: list[Found] = []
+    """All findings in the order of the pipe, one that two windows share merged into one; and for each window an array
+    that maps the number of its finding, from 1, to its number in that list. 0 maps to 0, as does a finding that is
+    left out."""
+    merged: list[Found] = []
     became = [np.zeros(len(own) + 1, np.int64) for own in found]
-    open_ones: dict[int, int] = {}  # of those of the window before that reach its last cut: which of the told they are
+    open_ones: dict[int, int] = {}  # the window before's that reach its last cut, by number: index in `merged`
     for k, own in enumerate(found):
         first, last = ([-math.inf, *cuts][k], [*cuts, math.inf][k])
         taken: set[int] = set()
@@ -259,24 +260,24 @@ def _told_once(
             here = None
             if begin < first:
                 here = next(
-                    (j for j in open_ones.values() if j not in taken and _same(told[j], finding, step_mm)), None
+                    (j for j in open_ones.values() if j not in taken and _same(merged[j], finding, step_mm)), None
                 )
                 if here is None and finding.z_mm < first:
                     continue  # the window before, whose it is, did not see it so
             if here is not None:
                 taken.add(here)
-                told[here] = one(told[here], finding)
+                merged[here] = one(merged[here], finding)
             else:
-                here = len(told)
-                told.append(finding)
+                here = len(merged)
+                merged.append(finding)
             became[k][i + 1] = here + 1
             if end >= last:
                 now_open[i] = here
         open_ones = now_open
-    order = sorted(range(len(told)), key=lambda j: (told[j].z_mm, told[j].clock_deg))
-    rank = np.zeros(len(told) + 1, np.int32)
-    rank[[j + 1 for j in order]] = np.arange(1, len(told) + 1)
-    return [told[j] for j in order], [rank[numbers].astype(np.int32) for numbers in became]
+    order = sorted(range(len(merged)), key=lambda j: (merged[j].z_mm, merged[j].clock_deg))
+    rank = np.zeros(len(merged) + 1, np.int32)
+    rank[[j + 1 for j in order]] = np.arange(1, len(merged) + 1)
+    return [merged[j] for j in order], [rank[numbers].astype(np.int32) for numbers in became]
 
 
 def _same(one: Defect | Feature, other: Defect | Feature, step_mm: float) -> bool:
@@ -306,8 +307,8 @@ def _one_feature(one: Feature, other: Feature) -> Feature:
     measures = longest.measures
     if one.kind is FeatureKind.BEND:
         radius = longest.measured("radius_mm")
-        told = {"start_mm": begin, "angle_deg": math.degrees((end - begin) / radius)}
-        measures = tuple(Measure(m.name, told.get(m.name, m.value), m.k2) for m in longest.measures)
+        values = {"start_mm": begin, "angle_deg": math.degrees((end - begin) / radius)}
+        measures = tuple(Measure(m.name, values.get(m.name, m.value), m.k2) for m in longest.measures)
     return replace(longest, z_mm=(begin + end) / 2, length_mm=end - begin, measures=measures)
 
 

@@ -162,7 +162,7 @@ class _Off:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """What each row of the wall is: sound, and how it departs all round (mm, NaN where it does not)."""
+    """Of each row of the wall: whether it is sound, and how far it departs all round (mm, NaN where it does not)."""
 
     z_mm: FloatArray
     step_mm: float

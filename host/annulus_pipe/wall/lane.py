@@ -22,23 +22,23 @@ class LaneMark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """c_pf : (G, K) by sector along z_mm (G,), drawn where `seen` (G,). told : for people, what it cannot tell."""
+    """c_pf : (G, K) by sector along z_mm (G,), drawn where `seen` (G,). remark : for people, what it cannot tell."""
 
     z_mm: FloatArray
     c_pf: FloatArray
     seen: BoolArray
     marks: tuple[LaneMark, ...] = ()
-    told: str = ""
+    remark: str = ""
 
     def joined(self, other: "Lane") -> "Lane":
         """Another run's readings after these."""
         order = np.argsort(z := np.concatenate([self.z_mm, other.z_mm]), kind="stable")
         marks = tuple(sorted((*self.marks, *other.marks), key=lambda one: one.z_mm))
-        told = self.told if self.told == other.told else f"{self.told} {other.told}".strip()
+        remark = self.remark if self.remark == other.remark else f"{self.remark} {other.remark}".strip()
         return Lane(
             z[order],
             np.concatenate([self.c_pf, other.c_pf])[order],
             np.concatenate([self.seen, other.seen])[order],
             marks,
-            told,
+            remark,
         )

@@ -97,9 +97,9 @@ def _posed(levels: Sequence[Level], profile: Profile, radius_mm: float) -> Profi
     old = profile.pose
     if old is None or above is profile:
         return profile
-    said = np.where(np.isfinite(above.sigma_mm), above.sigma_mm, SIGMA_UNSAID_OF_RADIUS * radius_mm)
+    sigma = np.where(np.isfinite(above.sigma_mm), above.sigma_mm, SIGMA_UNSAID_OF_RADIUS * radius_mm)
     camera = old.to_camera(above.points_mm.astype(np.float64), profile.z_mm)
-    fit = fit_pose(camera, radius_mm, said.astype(np.float64), old, one_ring=len(np.unique(above.ring)) < 2)
+    fit = fit_pose(camera, radius_mm, sigma.astype(np.float64), old, one_ring=len(np.unique(above.ring)) < 2)
     if fit is None:
         return profile
     pose = replace(fit.pose, roll=old.roll)
@@ -149,7 +149,7 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     sight = _look(chord, slabs, profiles, calibration)
     clock += _lean_deg(sight.points_mm @ _straight(clock))  # says where the middle is better than the corners do
     opaque, water, sigma = _heights(sight, clock, chord, len(calibration.rings))
-    told, heights, error = _told_apart(opaque, water, sigma, size, chord.radius_sigma_mm)
+    kind, heights, error = _told_apart(opaque, water, sigma, size, chord.radius_sigma_mm)
     level = float(np.nanmedian(heights))
     by_slab = nan_median(heights.T)
     known = np.isfinite(by_slab)
@@ -172,13 +172,13 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
         Measure("height_percent", 50.0 * (1.0 - level / bottom), 100.0 * error / bottom),
     )
     feature = Feature(
-        told or FeatureKind.DEPOSIT,
+        kind or FeatureKind.DEPOSIT,
         (first + last) / 2,
         last - first,
         clock % 360.0,
         2.0 * float(_half_deg(np.array([level]), np.array([bottom]))[0]),
         measures,
-        remark if told else f"{remark}; water or deposit not told",
+        remark if kind else f"{remark}; water or deposit not told",
     )
     return Level(feature, z_mm, half, reach)
 
@@ -253,10 +253,10 @@ def _heights(sight: _Sight, clock_deg: float, chord: Chord, rings: int) -> tuple
     column = np.clip(((across + half) / CELL_DEG).astype(np.int64), 0, columns - 1)
     shape = len(chord.half_deg), columns, rings
     cell = (sight.slab * columns + column) * rings + sight.ring
-    known, said = np.isfinite(water), np.isfinite(sight.sigma_mm)
+    known, stated = np.isfinite(water), np.isfinite(sight.sigma_mm)
     flat = math.prod(shape[:2]), rings
     opaque, through = cell_medians(cell, points[:, 1], flat)[0], cell_medians(cell[known], water[known], flat)[0]
-    sigma = cell_medians(sight.ring[said], sight.sigma_mm[said], (1, rings))[0][0]
+    sigma = cell_medians(sight.ring[stated], sight.sigma_mm[stated], (1, rings))[0][0]
     return opaque.reshape(shape), through.reshape(shape), sigma
 
 
@@ -279,22 +279,22 @@ def _told_apart(
     expected = np.where(np.isfinite(off_water), off_opaque - off_water, 0.0)
     weight = np.where(np.isfinite(off_water), sigma**-2.0, 0.0)
     known = float((weight * expected**2).sum())
-    told = None
+    kind = None
     if possible and known > 0.0 and np.count_nonzero(rings > 1) >= OVERLAP * np.count_nonzero(rings):
         share = float((weight * expected * np.nan_to_num(off_opaque)).sum()) / known
         if abs(share - TOLD) > 2.0 / math.sqrt(known):
-            told = FeatureKind.WATER if share > TOLD else FeatureKind.DEPOSIT
+            kind = FeatureKind.WATER if share > TOLD else FeatureKind.DEPOSIT
     if not possible:
-        told = FeatureKind.DEPOSIT
+        kind = FeatureKind.DEPOSIT
     common = float(np.median(sigma[np.isfinite(off_opaque)]))
-    if told is FeatureKind.WATER:
+    if kind is FeatureKind.WATER:
         disagree = _disagreement(off_water, sigma)
-        return told, water, math.hypot(THROUGH_WATER * common, disagree, (THROUGH_WATER - 1.0) * radius_sigma_mm)
+        return kind, water, math.hypot(THROUGH_WATER * common, disagree, (THROUGH_WATER - 1.0) * radius_sigma_mm)
     disagree = _disagreement(off_opaque, sigma)
-    if told is None:  # between the two that it may be
+    if kind is None:  # between the two that it may be
         middle = 0.5 * (opaque + np.where(np.isfinite(water), water, opaque))
         return None, middle, math.hypot(common, disagree, float(np.nanmedian(opaque - middle)))
-    return told, opaque, math.hypot(common, disagree)
+    return kind, opaque, math.hypot(common, disagree)
 
 
 def _disagreement(offset: FloatArray, sigma: FloatArray) -> float:

@@ -217,7 +217,7 @@ def _alike(seen: Observations, clock: FloatArray, residual: FloatArray) -> float
 
 
 def _spread(weight: FloatArray, value: FloatArray) -> float:
-    """Standard deviation of values of so much weight each, all of it 1."""
+    """Standard deviation of weighted values; the weights sum to 1."""
     return math.sqrt(max(float(weight @ (value - weight @ value) ** 2), 0.0))
 
 

@@ -55,8 +55,8 @@ FLOOR_LOOKS = (
     0.35  # .. if so large a part of the looks has any: a floor sends all of them back; and no face tells a bore
 )
 SOUND_LEAST = 0.6  # of the looks about it, part that found wall, in three of four of its sides
-# A branch has nothing but its circle to show: it is one where that is known. Of nine branches of the blind seeds 1 to 6
-# the diameter's k = 2 was 0.03 to 0.07 of it, of three that were bumps and pockets 0.09, 0.15 and 0.22.
+# Only its circle shows that it is a branch: it is listed as one where the circle is known. Of nine branches of the
+# blind seeds 1 to 6 the diameter's k = 2 was 0.03 to 0.07 of it, of three that were bumps and pockets 0.09, 0.15, 0.22.
 CIRCLE_KNOWN = 0.08  # part of its diameter
 FACE_LOOKS, FACE_ARC_DEG = 2, 60.0  # what makes a face: looks that saw it, arc of the circle it covers
 RIM_SIDES = 0.5  # part of the sides at which a rim stands, for a tee
@@ -139,8 +139,8 @@ def _starts(wall: Wall, looks: Looks, size: float) -> Iterator[tuple[_Bore, list
 
 
 def _standing(wall: Wall, size: float) -> Iterator[_Bore]:
-    """What stands in, as the outside of a rim. A high rim's own shadow makes a patch far longer than its bore; its
-    sides and its near end are what is seen of it."""
+    """What stands in, as the outside of a rim. A high rim's own shadow makes a patch far longer than its bore: only
+    its sides and its near end are seen."""
     high = wall.seen & (-wall.residual_mm() > RIM_LEAST * size)
     cells = [max(1, round(RIM_WIDTH * size / one)) for one in (wall.z_step_mm, np.radians(wall.clock_step_deg) * size)]
     label, n = label_around(ndimage.binary_dilation(high, np.ones([2 * (one // 2) + 1 for one in cells], bool)))
@@ -166,7 +166,7 @@ def _within(bore: _Bore, other: _Bore) -> bool:
 
 
 def _about(bore: _Bore, points: Points, looks: Looks, size: float) -> tuple[Points, Looks]:
-    """What there is to see of it and around it."""
+    """The points and looks of it and of the wall around it."""
     reach = 2 * bore.radius_mm + ABOUT * size
     some = (np.abs(points.z_mm - bore.z_mm) < reach) & (np.abs(bore.aside(points.clock_deg)) < reach / size)
     near = np.abs(looks.z_mm[:, :: COLUMNS // 12] - bore.z_mm).min(axis=1) < reach
@@ -397,7 +397,7 @@ def _is_open(bore: _Bore, points: Points, looks: Looks, size: float, *, face_onl
 
 
 def _feature(bore: _Bore, point_mm: float, scale_part: float) -> Feature:
-    """point_mm : what a point of the wall may be off; of a rim, half of that is in all of its points. scale_part : of
+    """point_mm : what a point of the wall may be off; half of it is common to all points of a rim. scale_part : of
     the radius, what all of the scan's may be off alike."""
     reach = bore.rim_mm if bore.stands_mm else bore.radius_mm
     arc = 2 * float(np.degrees(np.arcsin(min(reach / bore.wall_mm, 1.0))))

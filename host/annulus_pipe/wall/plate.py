@@ -50,5 +50,5 @@ class Plate:
     def cloud(self) -> FloatArray:
         """(points, 3) mm: x, y, and z = distance ahead of the first camera."""
         x, y = np.meshgrid(self.x_mm, self.y_mm)
-        told = np.isfinite(self.height_mm)
-        return np.stack([x[told], y[told], self.distance_mm - self.height_mm[told]], axis=1)
+        known = np.isfinite(self.height_mm)
+        return np.stack([x[known], y[known], self.distance_mm - self.height_mm[known]], axis=1)

@@ -22,7 +22,7 @@ SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no j
 class Points:
     """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
     off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm; its
-    radius, mm, and clock angle; the look, one ring in one frame, that it is of."""
+    radius, mm, and clock angle; the number of its look (one ring in one frame)."""
 
     z_mm: FloatArray
     sector: NDArray[np.intp]

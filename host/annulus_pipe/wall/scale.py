@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.drift import Drift, drifted, seen_with
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, off, said, span
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, off, quoted, span
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.explained import Before, Effects, answer_at
 from annulus_pipe.wall.offsets import TERMS, Offsets, Section, observations, ring_offsets
@@ -296,7 +296,7 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
             f"optics drift by and rings do not show{scale.by and f'; {scale.by}'}{_by_marks(scale)}"
         )
     checks = [
-        f"{span(one.from_mm, one.to_mm, DISTANCE)}, {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}: "
+        f"{span(one.from_mm, one.to_mm, DISTANCE)}, {quoted(one.diameter_mm, MEASURE, one.diameter_k2_mm)}: "
         f"{mm - one.diameter_mm:+.2f} mm off with the calibration as it is"
         for one, mm in scale.references
     ]
@@ -315,7 +315,7 @@ def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> t
     refused = {one: why for one, _, why in scale.refused}
     read = dict((*scale.references, *((one, mm) for one, mm, _ in scale.refused)))
     for one in sections:
-        where = f"{span(one.from_mm, one.to_mm, DISTANCE)}  {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}"
+        where = f"{span(one.from_mm, one.to_mm, DISTANCE)}  {quoted(one.diameter_mm, MEASURE, one.diameter_k2_mm)}"
         if math.isnan(read.get(one, math.nan)):
             out.append(f"{where}  not seen")
             wrong = True
@@ -323,7 +323,7 @@ def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> t
         away, k2 = read[one] - one.diameter_mm, math.hypot(one.diameter_k2_mm, scale.observed_k2_mm)
         bad = one in refused or abs(away) > k2
         words = refused.get(one, "off for sure" if bad else "right, as far as is known")
-        out.append(f"{where}  reads {said(read[one], MEASURE)}, {away:+.2f} ± {k2:.2f} mm (k = 2): {words}")
+        out.append(f"{where}  reads {quoted(read[one], MEASURE)}, {away:+.2f} ± {k2:.2f} mm (k = 2): {words}")
         wrong = wrong or bad
     for what, names in (("focal x slide", ("focal", "slide")), ("fy over fx", ("anamorphic",))):
         value, sigma = scale.of(*names)

@@ -17,7 +17,7 @@ LEVEL_OF_STEP = 0.2  # of the step: this near to the rim's or the floor's level 
 RIM_OF_RADIUS, FLOOR_OF_RADIUS = 0.08, 0.12  # of the radius: wall before and after a step that gives its two levels
 SIDEWAYS_DEG = 12.0  # how far round a step is followed from where it is plain
 SLIT_OF_RADIUS = 0.05  # of the radius: a slit's width on the wall
-RIM_PART, FLOOR_PART = 0.3, 0.8  # quantiles: which part of what is seen there is the level: false floors lie between
+RIM_PART, FLOOR_PART = 0.3, 0.8  # quantiles of the seen radii taken as the two levels: false floors lie between
 
 
 def between_levels(radius_mm: FloatArray, z_step_mm: float, rise: float) -> BoolArray:

@@ -102,7 +102,7 @@ def _covariances(basis: FloatArray, lines: FloatArray, fits: FloatArray, good: B
 
 
 def _alike(left: FloatArray) -> float:
-    """Columns over which what a shape leaves is alike, 1 or more: so many are one independent value of it."""
+    """Over how many columns the residuals of a shape are correlated, 1 or more: so many count as one observation."""
     scale = np.array([robust_sigma(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in left])
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = np.clip(left / np.maximum(scale, 1e-6)[:, None], -3.0, 3.0)  # a defect is not what the rest is like

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, arc_of
 from annulus_pipe.numeric.robust import nan_median
-from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, span
+from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, quoted, span
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.shadow import SLIT_OF_RADIUS
@@ -107,13 +107,13 @@ def not_enough_seen(wall: Wall, features: "Sequence[Feature]" = ()) -> tuple[Fin
             start, known = arc_of(seen, wall.clock_step_deg) if seen.any() else (0.0, 0.0)
             middle = start + known + (360.0 - known) / 2
             why = next((f"lie below {f.kind}" for f in features if _below(f, first, last, middle)), "were not seen")
-            arc = f"{said(360.0 - known, ARC)} about clock {clock_face(middle)} {why}"
+            arc = f"{quoted(360.0 - known, ARC)} about clock {clock_face(middle)} {why}"
         what = "ovality" if not circle[rows].any() else "shape"
         out.append(
             Finding(
                 NOT_ENOUGH,
                 f"not enough seen from {span(first, last, DISTANCE)}: {arc}, so that the pipe's {what} is not known to "
-                f"{said(wall.shape_limit_mm, MEASURE)} and nothing is measured from it there",
+                f"{quoted(wall.shape_limit_mm, MEASURE)} and nothing is measured from it there",
             )
         )
     return tuple(out)

@@ -6,8 +6,8 @@ not confirmed, a defect that goes on where nobody saw, a stretch whose shape or 
 zone.
 
 Some of them every scan has: a rod hides a strip, rings end raggedly and lie apart, a step throws a shadow. They are
-`usual`: a verdict speaks of what was seen beside them, and says so. Of all others it says that nothing is established
-there.
+`usual`: the verdict speaks of the wall that was seen, and names them. In all other such places it says that nothing is
+established there.
 """
 
 import math
@@ -265,7 +265,7 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
 
 
 def _going_on(wall: Wall, detection: Detection, dark: BoolArray, scale: Scale) -> Iterator[Unjudged]:
-    """Defects and undecided places that end where nobody saw: what is deepest of them may lie there."""
+    """Defects and undecided places that end where nobody saw: their deepest point may lie in the unseen wall."""
     listed = [(one, detection.label == i) for i, one in enumerate(detection.defects, 1)]
     listed += [(one, _box(wall, one)) for one in detection.undecided]
     for one, cells in listed:

@@ -52,8 +52,8 @@ def find_holes(
 ) -> Iterator[tuple[slice, BoolArray, str, bool]]:
     """Each hole as large as the smallest defect: rows, its cells (R, A) in them, why, and whether every scan has such.
 
-    known : (Z, A) what is listed or explained; what a step beside it hides is as usual as it is. joints : (Z,) rows of
-    joints; what is hidden there from most of the circle every joint hides, and no less than that is usual.
+    known : (Z, A) what is listed or explained; a hole in the shadow of a step beside it is usual. joints : (Z,) rows of
+    joints; a hole there is usual where most of the circle is hidden, as behind every joint.
     """
     near = scale.mm(scale.limits.join_of_radius)
     everywhere = slice(0, len(unseen))

@@ -151,7 +151,8 @@ def _observations(profiles: Sequence[Profile], step_mm: float) -> _Observations:
 
 
 def _departures(seen: _Observations, frames: int) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(F, 7) mm: what each frame has of each mode, against what the others saw; and which are no edge's."""
+    """(F, 7) mm: each frame's amplitude of each mode against what the other frames saw; and which observations were
+    no outliers, as those at an edge are."""
     _, patch = np.unique(seen.patch, return_inverse=True)
     _, mine = np.unique(patch * frames + seen.frame, return_inverse=True)
     own, own_count = np.bincount(mine, weights=seen.radius)[mine], np.bincount(mine)[mine]

@@ -1,4 +1,4 @@
-"""A pipe too long to be surveyed at once, in windows: what each of them looks at, and what of its survey is its own.
+"""A pipe too long to be surveyed at once, in windows: what each of them looks at, and which part of its survey is kept.
 
 A window is a stretch of pipe between two cuts. It is surveyed with a halo of two diameters on either side, so that
 whatever lies at a cut has all its neighbours on both sides of it, and only what lies between the cuts is kept
@@ -98,7 +98,7 @@ class _Frames:
     points: IntArray
     low_mm: FloatArray
     high_mm: FloatArray
-    farthest_mm: FloatArray  # that one of them or of those before reaches
+    farthest_mm: FloatArray  # running maximum: as far as this frame or one before it reaches
 
     @classmethod
     def of(cls, reaches: Sequence[Reach]) -> "_Frames":

@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, save_acoustic
 
 RATE = "meta_data/ad_sampling_rate"
 SOUND = AcousticRecord(np.zeros((4, 32), np.float32), np.linspace(0.0, 270.0, 4), 100.0, 1e7, 0.0, None, "code")

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus_pipe.crossbore import BORES, Grid, Kind, detect, on_grid
-from annulus_pipe.crossbore.odds import COUNTED, FATES, MIDDLE, odds
-from annulus_pipe.twin.capacitance import Bore, Ground, log
+from annulus_pipe.wings.crossbore.ground import Bore, Ground, log
+from annulus_pipe.wings.crossbore.measure import BORES, Grid, Kind, detect, on_grid
+from annulus_pipe.wings.crossbore.measure.odds import COUNTED, FATES, MIDDLE, odds
 
 PLAIN = Ground(6000.0, uneven=0.06)
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus_pipe.crossbore import Account, Log, Passage, Why, detect, on_grid
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.twin.capacitance import Bore, Ground, log, some_ground
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.ground import Bore, Ground, log, some_ground
+from annulus_pipe.wings.crossbore.measure import Account, Log, Passage, Why, detect, on_grid
 
 SEWER = Bore(2000.0, 101.0)
 GROUND = Ground(6000.0, soils=(6.0,), bores=(SEWER,))

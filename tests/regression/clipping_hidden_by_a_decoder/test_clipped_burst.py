@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.record.acoustic import AcousticRecord, save_acoustic
-from annulus_pipe.tai.image import ImageSettings, make_image
-from annulus_pipe.thermoacoustic.codes import CODES
+from annulus_pipe.link.codes import CODES
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
+from annulus_pipe.wings.tai.image import ImageSettings, make_image
 
 RATE_HZ, CHIP_S, RADIUS_MM = 10e6, 0.5e-6, 9.0
 

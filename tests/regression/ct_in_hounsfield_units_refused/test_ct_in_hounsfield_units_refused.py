@@ -6,7 +6,7 @@ What lies beyond the image was taken for nought, which is plastic where air is -
 import numpy as np
 import pytest
 
-from annulus_pipe.joints.axis import circle_of
+from annulus_pipe.wings.joints.measure.axis import circle_of
 
 PIXEL = (0.3, 0.3)
 

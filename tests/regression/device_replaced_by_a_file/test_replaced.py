@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from annulus_pipe.export.forms import _in_place
-from annulus_pipe.record.acoustic import AcousticRecord, save_acoustic
 from annulus_pipe.record.calibration_file import save_part
 from annulus_pipe.record.storage import Place, writer
 from annulus_pipe.record.whole import written_whole
 from annulus_pipe.report.results import staged
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
 
 
 def pipe(path: Path) -> Path:

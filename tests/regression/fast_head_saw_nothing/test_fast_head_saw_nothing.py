@@ -6,8 +6,8 @@ A place counted as read where all three sectors were read within the same 5 mm, 
 import numpy as np
 import pytest
 
-from annulus_pipe.crossbore import Kind, Log, detect, on_grid
-from annulus_pipe.twin.capacitance import Bore, Ground, log
+from annulus_pipe.wings.crossbore.ground import Bore, Ground, log
+from annulus_pipe.wings.crossbore.measure import Kind, Log, detect, on_grid
 
 EVERY = 4  # rows of 40 a second at 150 mm a second: one each 15 mm
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from annulus_pipe.joints.image import NOTCH_CUSP
-from annulus_pipe.joints.surface import Bead, bead_of
+from annulus_pipe.wings.joints.measure.image import NOTCH_CUSP
+from annulus_pipe.wings.joints.measure.surface import Bead, bead_of
 
 VOXEL, FINE, HEIGHT, FLOOR = 0.4, 20, 2.0, 0.3  # mm; parts of a voxel; of a roll; of the roll's height
 BLUR = 0.7  # of a voxel

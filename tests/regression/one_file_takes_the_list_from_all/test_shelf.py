@@ -65,8 +65,8 @@ def test_the_others_are_listed(what: str, tmp_path: Path) -> None:
     written(tmp_path / "whole/frames.csv", f"{HEAD}0,a.png,led,1\n1,b.png,led,3\n")
     listing = looked(tmp_path)
     (whole,) = [one for one in listing.entries if one.path.name == "whole"]
-    assert (whole.told["frames"], whole.told["from_mm"], whole.told["to_mm"]) == (2, 1.0, 3.0)
-    assert all(one.told.get("frames") in (None, 0, 1) for one in listing.entries if one.path.name == "odd")
+    assert (whole.details["frames"], whole.details["from_mm"], whole.details["to_mm"]) == (2, 1.0, 3.0)
+    assert all(one.details.get("frames") in (None, 0, 1) for one in listing.entries if one.path.name == "odd")
 
 
 def test_what_is_beyond_the_bound_is_counted_and_costs_the_next_folder_nothing(

@@ -10,11 +10,11 @@ import pytest
 
 from annulus_pipe.export.wall_map import read_wall
 from annulus_pipe.flash.image import read_image
-from annulus_pipe.record.acoustic import load_acoustic
-from annulus_pipe.record.bore_log import read_bore_log
-from annulus_pipe.record.volume import open_volume
-from annulus_pipe.tai.design import load_transducer
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.log_file import read_bore_log
+from annulus_pipe.wings.joints.volume_file import open_volume
+from annulus_pipe.wings.tai.acoustic_file import load_acoustic
+from annulus_pipe.wings.tai.design import load_transducer
 
 READERS: dict[str, Callable[[Path], object]] = {
     "log.csv": read_bore_log,

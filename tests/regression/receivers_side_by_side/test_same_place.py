@@ -3,7 +3,7 @@ and left out (f6abe97). Fails when neighbours of any distance are compared."""
 
 import numpy as np
 
-from annulus_pipe.thermoacoustic.sweep import Sweep, examine
+from annulus_pipe.wings.tai.measure.sweep import Sweep, examine
 
 TURN = np.linspace(0.0, 270.0, 28)
 

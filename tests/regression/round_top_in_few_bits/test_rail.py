@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from annulus_pipe.thermoacoustic.sweep import Sweep, examine
+from annulus_pipe.wings.tai.measure.sweep import Sweep, examine
 
 
 def clipped(signals: np.ndarray) -> list[tuple[int, ...]]:

@@ -15,8 +15,8 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.filewriter import dcmwrite
 from pydicom.uid import CTImageStorage, DeflatedExplicitVRLittleEndian, generate_uid
 
-from annulus_pipe.record.volume import open_volume
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.joints.volume_file import open_volume
 
 GREY = np.random.default_rng(2).integers(0, 4000, (3, 12, 10)).astype(np.uint16)
 MORE_MB = 100  # of address space, over what is in use: a slice of 120 pixels needs none of it

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record.acoustic import AcousticRecord, save_acoustic
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
 
 
 @pytest.mark.parametrize("name", ["raw.npz", "raw.hdf5"])

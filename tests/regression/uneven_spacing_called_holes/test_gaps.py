@@ -3,7 +3,7 @@ without HOLE_DEG in gaps_deg."""
 
 import numpy as np
 
-from annulus_pipe.thermoacoustic.sweep import gaps_deg
+from annulus_pipe.wings.tai.measure.sweep import gaps_deg
 
 
 def test_only_what_nobody_covers_is_a_hole() -> None:

@@ -16,7 +16,7 @@ import pytest
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
 from annulus_pipe.job import JobSheet, Observation, Origin
-from annulus_pipe.numeric.rounding import MEASURE, said
+from annulus_pipe.numeric.rounding import MEASURE, quoted
 from annulus_pipe.report import Account, write
 from annulus_pipe.report.close_up import CIRCLE_PX, SWING_PX, across
 from annulus_pipe.report.marks import marks_of
@@ -173,7 +173,7 @@ def test_the_page_says_what_the_scan_states_and_no_number_of_a_bench(
     words = text(page[0])
     stated, of_head = words.split("From this scan: sizing accuracy")[1].split("This head, against a section")
     own = math.hypot(0.03, pipe.wall.scale_part * pipe.wall.mean_radius_mm)
-    assert said(2 * own, MEASURE) in stated and "not determined" in stated
+    assert quoted(2 * own, MEASURE) in stated and "not determined" in stated
     assert "Check against a reference section not checked: no section of known diameter was named" in of_head
     assert "calibration.json states no covariance" in of_head and "a wall that light enters" in of_head
     for word in ("bench", "off the truth", "simulated", "at least 36 %", "94.1 %"):

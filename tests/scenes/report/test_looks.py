@@ -20,7 +20,6 @@ from browser import chromium, faults, opened
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
 from annulus_pipe.report import Account, Paper, write, write_plate
-from annulus_pipe.report.joint_page import write_joint_page
 from annulus_pipe.report.pdf import to_pdf
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall import LedFrame, survey
@@ -28,6 +27,7 @@ from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, Measure
 from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.joints.page import write_joint_page
 
 PAGES = ("damaged", "sound", "plate", "joint")
 WIDTHS = (1400, 1024, 390)

@@ -104,7 +104,7 @@ def asked() -> list[tuple[str, float, str, float | None, bool]]:
         name = names[n % len(names)]
         out.append(("digits", value, name, None, False))
         out.append(("digitsK2", abs(value), name, None, False))
-        out.append(("said", value, name, rng.choice((None, abs(rng.gauss(0, 0.1)))), rng.random() < 0.2))
+        out.append(("quoted", value, name, rng.choice((None, abs(rng.gauss(0, 0.1)))), rng.random() < 0.2))
         out.append(("clockFace", value, name, None, False))
     return out + [("clockFace", k * 1.25 - 400, "ARC", None, False) for k in range(800)]
 
@@ -114,7 +114,7 @@ def answer(what: str, value: float, name: str, k2: float | None, at_least: bool)
     said: dict[str, Any] = {
         "digits": lambda: rounding.digits(value, quantity),
         "digitsK2": lambda: rounding.digits_k2(value, quantity),
-        "said": lambda: rounding.said(value, quantity, k2, at_least=at_least),
+        "quoted": lambda: rounding.quoted(value, quantity, k2, at_least=at_least),
         "clockFace": lambda: rounding.clock_face(value),
     }
     return str(said[what]())
@@ -128,12 +128,12 @@ def test_the_page_rounds_every_number_as_the_report_does() -> None:
         (STATIC / "rounding.js").read_text(encoding="utf-8")
         + f"""
         const quantities = {{{", ".join(QUANTITIES)}}};
-        const says = {{digits, digitsK2, said, clockFace: (value) => clockFace(value)}};
+        const says = {{digits, digitsK2, quoted, clockFace: (value) => clockFace(value)}};
         const asked = {json.dumps(asked())};
         console.log(JSON.stringify({{
           said: asked.map(([what, value, name, k2, atLeast]) => says[what](value, quantities[name], k2, atLeast)),
           quantities,
-          unknown: [null, undefined, NaN, Infinity].map((value) => said(value, MEASURE)),
+          unknown: [null, undefined, NaN, Infinity].map((value) => quoted(value, MEASURE)),
         }}));
     """
     )

@@ -176,9 +176,9 @@ def test_recordings_scans_results_and_calibrations_are_listed(tmp_path: Path) ->
 def test_a_torn_recording_is_told_from_one_that_is_being_made(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", close=False)
     shelf = Shelf([tmp_path])
-    assert shelf.look().entries[0].told["state"] == "open"
+    assert shelf.look().entries[0].details["state"] == "open"
     aged(path)
-    assert shelf.look().entries[0].told["state"] == "torn"
+    assert shelf.look().entries[0].details["state"] == "torn"
 
 
 def test_what_did_not_change_is_not_looked_at_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ class TwoCameras(SoakWorld):
         self.driver = _Both(self, self.driver)  # type: ignore[assignment]
         camera = self.world.camera
         mode = CameraMode(1, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
-        self.second_labelling = Labelling(mode, self.navigation, self._told, False)
+        self.second_labelling = Labelling(mode, self.navigation, self._reported, False)
         self.second_on_the_way: deque[Delivered] = deque()
         self.second_waiting: deque[_Waiting] = deque()
         self.second_verdicts = Counter[Verdict]()

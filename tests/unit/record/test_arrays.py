@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, save_acoustic
 
 RECORD = AcousticRecord(np.zeros((4, 32), np.float32), np.arange(4) * 90.0, 100.0, 1e6)
 DATA = "binary_time_series_data"

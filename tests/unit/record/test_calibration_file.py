@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record.acoustic import AcousticRecord, save_acoustic
 from annulus_pipe.record.calibration_file import (
     load_calibration,
     load_camera,
@@ -20,6 +19,7 @@ from annulus_pipe.record.calibration_file import (
 )
 from annulus_pipe.record.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
 
 DATA = Path(__file__).parents[2] / "data"
 CALIBRATION = load_calibration(DATA / "calibration-1.json")

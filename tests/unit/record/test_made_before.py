@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.record.acoustic import load_acoustic
 from annulus_pipe.record.calibration_file import load_calibration, load_part
 from annulus_pipe.record.recording import Recording, open_recording
 from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
-from annulus_pipe.tai.decode import load_template
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wings.tai.acoustic_file import load_acoustic
+from annulus_pipe.wings.tai.decode import load_template
 
 BEFORE = Path(__file__).parents[2] / "data" / "before"
 EXPECTED = json.loads((BEFORE / "expected.json").read_text())

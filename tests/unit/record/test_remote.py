@@ -154,7 +154,7 @@ def test_a_file_that_changes_is_told(store: ObjectStore) -> None:
     with pytest.raises(ChangedError, match="not what it was"):
         file.read(10)
     with pytest.raises(ChangedError):
-        RemoteFile(url, file.told).read(1)
+        RemoteFile(url, file.known).read(1)
 
 
 def test_neighbours_are_read_in_one_request(store: ObjectStore) -> None:

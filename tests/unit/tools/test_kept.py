@@ -48,7 +48,7 @@ def test_a_change_of_anything_that_a_drawer_uses_is_another_shelf(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A twin's slide is drawn by fringe/, which lies in no room of the twin's own."""
-    used = tmp_path / "host/annulus_pipe/fringe/projector.py"
+    used = tmp_path / "host/annulus_pipe/wings/fringe/measure/projector.py"
     used.parent.mkdir(parents=True)
     used.write_text("PHASE0 = 0.0\n")
     monkeypatch.setattr(kept, "ROOT", tmp_path)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus_pipe.tai.decode import decode_record
-from annulus_pipe.tai.simulate import Setup, simulate
-from annulus_pipe.thermoacoustic.codes import pattern
-from annulus_pipe.thermoacoustic.phantoms import Disc
+from annulus_pipe.link.codes import pattern
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.decode import decode_record
+from annulus_pipe.wings.tai.measure.phantoms import Disc
+from annulus_pipe.wings.tai.simulate import Setup, simulate
 from tools.study import FIGURES, chosen, noise
 from tools.study.__main__ import main
 from tools.study.images import full_width, switched_on

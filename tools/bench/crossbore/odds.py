@@ -9,9 +9,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from annulus_pipe.crossbore import BORES, Indication, detect, likely, on_grid
-from annulus_pipe.crossbore.odds import COUNTED, FATES, called
-from annulus_pipe.twin.capacitance import Drawn, log, some_ground
+from annulus_pipe.wings.crossbore.ground import Drawn, log, some_ground
+from annulus_pipe.wings.crossbore.measure import BORES, Indication, detect, likely, on_grid
+from annulus_pipe.wings.crossbore.measure.odds import COUNTED, FATES, called
 from tools.bench.blind.others.crossbore import drawn_log, surveyed
 
 SOILS = ((15.0, 4.0, 22.0), (20.0,), (4.0,), (9.0, 25.0), (25.0, 6.0, 12.0))

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from scipy.ndimage import median_filter
 
-from annulus_pipe.crossbore import Kind, detect, on_grid
-from annulus_pipe.crossbore.grid import STEP_MM, Grid
-from annulus_pipe.twin.capacitance import Bore, Ground, log, some_ground
+from annulus_pipe.wings.crossbore.ground import Bore, Ground, log, some_ground
+from annulus_pipe.wings.crossbore.measure import Kind, detect, on_grid
+from annulus_pipe.wings.crossbore.measure.grid import STEP_MM, Grid
 from tools.bench.crossbore.odds import fate, others, promised
 from tools.bench.table import Row
 

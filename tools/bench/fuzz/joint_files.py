@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from annulus_pipe.record.raster_log import RasterLog
-from annulus_pipe.record.strength import read_results, read_strengths, read_transmission
+from annulus_pipe.wings.joints.raster_log import RasterLog
+from annulus_pipe.wings.joints.strength_file import read_results, read_strengths, read_transmission
 from tools.bench.fuzz.mutate import of_bytes, of_rows
 
 LOG = '# annulus near-field scan 1\n# {"angles": 3, "boot": 1}\ni,j,amplitude_mv\n'

@@ -28,7 +28,6 @@ from annulus_pipe.link import codec, messages
 from annulus_pipe.link.fields import Message
 from annulus_pipe.link.head import HeadControl
 from annulus_pipe.link.stage import stage_from_us
-from annulus_pipe.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus_pipe.record.calibration_file import load_calibration, load_camera, load_part
 from annulus_pipe.record.replay import ScanFolderCamera
 from annulus_pipe.record.scan import open_scan
@@ -36,10 +35,11 @@ from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.stream.frames import FrameHeader
-from annulus_pipe.tai.decode import load_template
-from annulus_pipe.tai.design import load_transducer
 from annulus_pipe.testing.scripted import ScriptedController
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, save_acoustic
+from annulus_pipe.wings.tai.decode import load_template
+from annulus_pipe.wings.tai.design import load_transducer
 from tools.bench.fuzz.catalogue_files import catalogue_case, catalogue_read
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read

@@ -8,12 +8,12 @@ are metres here. A Cramer-Rao bound is of DC, AC and height together, at the tru
 
 import numpy as np
 
-from annulus_pipe.fringe import FringeProjector, Points, View, heights
-from annulus_pipe.fringe.source import direct, iterated
-from annulus_pipe.fringe.steps import find_steps
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wings.fringe.measure import FringeProjector, Points, View, heights
+from annulus_pipe.wings.fringe.measure.source import direct, iterated
+from annulus_pipe.wings.fringe.measure.steps import find_steps
 from tools.bench.metrology import fringe_models, fringe_pipe, fringe_scan
 from tools.bench.table import Row
 

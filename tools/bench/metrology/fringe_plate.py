@@ -21,11 +21,20 @@ os.environ.update(OMP_NUM_THREADS="1", NUMBA_NUM_THREADS="1", OPENBLAS_NUM_THREA
 import cv2
 import numpy as np
 
-from annulus_pipe.fringe import FringeProjector, Points, View, find_steps, heights, noise_of, spline, stereo_heights
-from annulus_pipe.fringe.source import least_squares
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.wings.fringe.measure import (
+    FringeProjector,
+    Points,
+    View,
+    find_steps,
+    heights,
+    noise_of,
+    spline,
+    stereo_heights,
+)
+from annulus_pipe.wings.fringe.measure.source import least_squares
 from tools.bench.metrology.fringe_pipe import judge
 from tools.bench.table import SCENES, Row
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import simpson
 from scipy.special import j0
 
-from annulus_pipe.thermoacoustic.field import Grid, Medium, Solver, receivers, rim
+from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers, rim
 from tools.bench.table import Row
 from tools.bench.thermoacoustic import keep
 from tools.study.figure import Figure

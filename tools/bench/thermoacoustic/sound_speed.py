@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from annulus_pipe.tai.decode import decode_record, sweep_of
-from annulus_pipe.tai.simulate import Setup, simulate, through
-from annulus_pipe.thermoacoustic.agreement import AGREEMENT, Arrival, disagreeing, search_sound_speed
-from annulus_pipe.thermoacoustic.phantoms import phantom
-from annulus_pipe.thermoacoustic.sweep import Sweep
 from annulus_pipe.vocabulary import AnnulusError
-from tests.unit.thermoacoustic.test_agreement import ANGLES, RADIUS, RATE, C, spheres
+from annulus_pipe.wings.tai.decode import decode_record, sweep_of
+from annulus_pipe.wings.tai.measure.agreement import AGREEMENT, Arrival, disagreeing, search_sound_speed
+from annulus_pipe.wings.tai.measure.phantoms import phantom
+from annulus_pipe.wings.tai.measure.sweep import Sweep
+from annulus_pipe.wings.tai.simulate import Setup, simulate, through
+from tests.wings.tai.test_agreement import ANGLES, RADIUS, RATE, C, spheres
 from tools.bench.table import Row
 
 BANDS = {"every frequency": None, "2.25 MHz, 70 %": (2.25e6, 0.7), "1 MHz, 70 %": (1e6, 0.7), "0.5 MHz": (0.5e6, 1.0)}

@@ -12,7 +12,7 @@ import { Chunks } from "./chunks.js";
 import { KIND } from "./connection.js";
 import { el, write } from "./dom.js";
 import { Eye } from "./eye.js";
-import { DISTANCE, said } from "./rounding.js";
+import { DISTANCE, quoted } from "./rounding.js";
 import * as THREE from "./vendor/three/three.module.min.js";
 
 const POINTS_MAX = 5_000_000;
@@ -169,7 +169,7 @@ export function mountCloud(app) {
     gl.flush();
     app.stats.drawn += 1;
     const count = chunks.held.toLocaleString(app.language);
-    write(note, chunks.held ? t("cloud.note", { n: count, z: said(newest, DISTANCE) }) : t("cloud.none"));
+    write(note, chunks.held ? t("cloud.note", { n: count, z: quoted(newest, DISTANCE) }) : t("cloud.none"));
   };
   setInterval(draw, FRAME_MS / 4);
   paint();

@@ -2,7 +2,7 @@
 
 import { el } from "./dom.js";
 import { describe } from "./map.js";
-import { ARC, DISTANCE, EXTENT, MEASURE, clockFace, said } from "./rounding.js";
+import { ARC, DISTANCE, EXTENT, MEASURE, clockFace, quoted } from "./rounding.js";
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 
 export function mountDefects(app) {
@@ -26,8 +26,8 @@ export function mountDefects(app) {
       ...found.map((one) => {
         const show = el("button", { type: "button", class: "link", "aria-label": describe(app, one) }, `#${one.id}`);
         show.addEventListener("click", () => open(one));
-        const size = `${said(one.length_mm, EXTENT) ?? "–"} × ${said(one.arc_deg, ARC) ?? "–"}`;
-        const cells = [app.word("kind", one.kind), said(one.depth_mm, MEASURE, one.depth_k2_mm, one.floor_seen === false) ?? t("unmeasured"), said(one.z_mm, DISTANCE), one.clock ?? clockFace(one.clock_deg), size];
+        const size = `${quoted(one.length_mm, EXTENT) ?? "–"} × ${quoted(one.arc_deg, ARC) ?? "–"}`;
+        const cells = [app.word("kind", one.kind), quoted(one.depth_mm, MEASURE, one.depth_k2_mm, one.floor_seen === false) ?? t("unmeasured"), quoted(one.z_mm, DISTANCE), one.clock ?? clockFace(one.clock_deg), size];
         return el("tr", {}, el("td", {}, show), cells.map((cell) => el("td", {}, cell)));
       }),
     );
@@ -49,9 +49,9 @@ export function mountDefects(app) {
     const inside = [
       el("div", { class: "panel-top" }, el("h2", { id: "defect-title" }, describe(app, defect)), shut),
       el("dl", { class: "readouts" }, [
-        [t("defect.depth"), `${said(defect.depth_mm, MEASURE, defect.depth_k2_mm, defect.floor_seen === false) ?? t("unmeasured")} (k = 2)`],
-        [t("defect.size"), `${said(defect.length_mm, EXTENT) ?? "–"} × ${said(defect.arc_deg, ARC) ?? "–"}`],
-        [t("defect.place"), said(defect.z_mm, DISTANCE)], [t("defect.clock"), defect.clock ?? clockFace(defect.clock_deg)],
+        [t("defect.depth"), `${quoted(defect.depth_mm, MEASURE, defect.depth_k2_mm, defect.floor_seen === false) ?? t("unmeasured")} (k = 2)`],
+        [t("defect.size"), `${quoted(defect.length_mm, EXTENT) ?? "–"} × ${quoted(defect.arc_deg, ARC) ?? "–"}`],
+        [t("defect.place"), quoted(defect.z_mm, DISTANCE)], [t("defect.clock"), defect.clock ?? clockFace(defect.clock_deg)],
       ].map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value ?? t("unknown"))))),
     ];
     const plots = [];

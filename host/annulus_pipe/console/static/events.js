@@ -1,7 +1,7 @@
 // What happened, the latest first: events, marks, ends of scans.
 
 import { el } from "./dom.js";
-import { DISTANCE, said } from "./rounding.js";
+import { DISTANCE, quoted } from "./rounding.js";
 
 const EVENTS_MAX = 100;
 
@@ -27,7 +27,7 @@ export function events(app) {
     return today ? then.toLocaleTimeString([], { hour12: false }) : then.toLocaleString(app.language, { hour12: false });
   };
   app.on("event", (event) => add(event, event.text, event.kind === "fault" ? "bad" : ""));
-  app.on("mark", (mark) => add(mark, `${t("events.mark")}: ${mark.text}${typeof mark.z_mm === "number" ? `, ${said(mark.z_mm, DISTANCE)}` : ""}`, "mark"));
+  app.on("mark", (mark) => add(mark, `${t("events.mark")}: ${mark.text}${typeof mark.z_mm === "number" ? `, ${quoted(mark.z_mm, DISTANCE)}` : ""}`, "mark"));
   app.on("ended", (ended) => add(ended, t("events.ended", { s: ended.seconds?.toFixed?.(1) ?? "?" }), ""));
   return el("div", {}, none, list);
 }

@@ -2,7 +2,7 @@
 // never overwritten: another operator's save is shown beside it.
 
 import { el, unique, write } from "./dom.js";
-import { ARC, EXTENT, said } from "./rounding.js";
+import { ARC, EXTENT, quoted } from "./rounding.js";
 
 const DRAFT = "job-draft"; // of this browser's tab, over a reload too
 
@@ -162,7 +162,7 @@ function remembered() {
 export function age(app, days) {
   const { t } = app;
   if (typeof days !== "number") return t("job.age.unknown");
-  const whole = said(days, { ...EXTENT, unit: "" });
+  const whole = quoted(days, { ...EXTENT, unit: "" });
   return days < 1 ? t("job.age.today") : t(whole === "1" ? "job.age.one" : "job.age", { days: whole });
 }
 
@@ -174,7 +174,7 @@ function tellHead(app, about, head, made) {
     ["serial", app.latest.telemetry?.job?.head ?? about.job?.head ?? ""],
     ["calibration", calibration ? (calibration.file ?? t("job.about.carried")) : t("job.about.none")],
     ["age", calibration ? age(app, calibration.age_days) : ""],
-    ["diameter", calibration ? (said(calibration.nominal_diameter_mm, { ...EXTENT, places: 1 }) ?? "") : ""],
+    ["diameter", calibration ? (quoted(calibration.nominal_diameter_mm, { ...EXTENT, places: 1 }) ?? "") : ""],
     ["controller", controller ? [controller.board, controller.version, controller.commit].filter(Boolean).join(", ") : t("job.about.none")],
     ["cameras", (about.cameras ?? []).map((one) => `${one.number}: ${one.width} × ${one.height}`).join("; ")],
     ["record", about.record ? `${about.record.folder}, ${about.record.codec}` : t("job.about.unrecorded")],
@@ -187,7 +187,7 @@ function tellHead(app, about, head, made) {
     return;
   }
   const line = ([name, one]) => {
-    const rest = Object.entries(one).filter(([key]) => key !== "utc").map(([key, value]) => `${key.replaceAll("_", " ")} ${typeof value === "number" ? said(value, { ...ARC, unit: "", places: 3 }) : value}`);
+    const rest = Object.entries(one).filter(([key]) => key !== "utc").map(([key, value]) => `${key.replaceAll("_", " ")} ${typeof value === "number" ? quoted(value, { ...ARC, unit: "", places: 3 }) : value}`);
     return el("tr", {}, el("th", { scope: "row" }, name.replaceAll("_", " ")), el("td", {}, String(one.utc ?? t("unknown")).slice(0, 10)), el("td", {}, rest.join(", ")));
   };
   made.replaceChildren(

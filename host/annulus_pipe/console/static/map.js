@@ -4,7 +4,7 @@
 
 import { KIND } from "./connection.js";
 import { el, set, write } from "./dom.js";
-import { DISTANCE, MEASURE, clockFace, digits, said } from "./rounding.js";
+import { DISTANCE, MEASURE, clockFace, digits, quoted } from "./rounding.js";
 
 const UNSEEN = -32768;
 const ROWS_MAX = 2200; // of either map
@@ -111,7 +111,7 @@ export function mountMap(app, open) {
     }
     context.putImageData(image, 0, 0);
     drawn = { from: low * wall.step, to: (high + 1) * wall.step };
-    write(note, t("map.note", { from: digits(drawn.from, DISTANCE), to: said(drawn.to, DISTANCE), step: wall.step }));
+    write(note, t("map.note", { from: digits(drawn.from, DISTANCE), to: quoted(drawn.to, DISTANCE), step: wall.step }));
     ticks(axis, drawn);
     place();
   };
@@ -126,7 +126,7 @@ export function mountMap(app, open) {
     told.forEach((mark, n) => {
       if (!inside(mark.z_mm)) return;
       const where = mark.clock_deg ?? 0;
-      wanted.push({ key: `m${n}`, name: `${t("events.mark")}: ${mark.text}`, style: "noted", at: at(mark.z_mm, where), press: () => app.say(`${mark.text}, ${said(mark.z_mm, DISTANCE)}`), text: t("map.mark") });
+      wanted.push({ key: `m${n}`, name: `${t("events.mark")}: ${mark.text}`, style: "noted", at: at(mark.z_mm, where), press: () => app.say(`${mark.text}, ${quoted(mark.z_mm, DISTANCE)}`), text: t("map.mark") });
     });
     const there = new Map([...marks.children].map((one) => [one.dataset.key, one]));
     for (const one of wanted) {
@@ -152,9 +152,9 @@ export function mountMap(app, open) {
 const fresh = () => ({ rows: new Map(), scan: null, step: 0, columns: 0 });
 
 export function describe(app, defect) {
-  const depth = said(defect.depth_mm, MEASURE, defect.depth_k2_mm, defect.floor_seen === false) ?? app.t("unmeasured");
+  const depth = quoted(defect.depth_mm, MEASURE, defect.depth_k2_mm, defect.floor_seen === false) ?? app.t("unmeasured");
   return app.t("defect.named", {
-    depth, kind: app.word("kind", defect.kind), z: said(defect.z_mm, DISTANCE) ?? "?", clock: defect.clock ?? clockFace(defect.clock_deg),
+    depth, kind: app.word("kind", defect.kind), z: quoted(defect.z_mm, DISTANCE) ?? "?", clock: defect.clock ?? clockFace(defect.clock_deg),
   });
 }
 

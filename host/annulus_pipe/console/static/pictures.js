@@ -5,7 +5,7 @@
 
 import { KIND } from "./connection.js";
 import { el, write } from "./dom.js";
-import { DISTANCE, said } from "./rounding.js";
+import { DISTANCE, quoted } from "./rounding.js";
 
 const KEPT = 12; // pictures that wait for their slits; each is decoded, 1.4 MB
 const PATIENCE_MS = 500;
@@ -50,7 +50,7 @@ export function mountPictures(app) {
       }
     }
     where.shownMs = performance.now();
-    const place = Number.isNaN(z) ? t("unknown") : said(z, DISTANCE);
+    const place = Number.isNaN(z) ? t("unknown") : quoted(z, DISTANCE);
     const found = slits ? `, ${t("pictures.slits", { n: slits.rings.length })}` : "";
     write(where.note, `${t("pictures.frame", { n: index })}, ${place}${found}`);
     app.stats.pictures += 1;

@@ -63,7 +63,7 @@ const suffix = (quantity) => (quantity.unit === "°" || quantity.unit === "" ? q
 const known = (value) => typeof value === "number" && Number.isFinite(value);
 
 // "2.28 ± 0.04 mm"; null where it was not measured: the page says so in its own language.
-export function said(value, quantity, k2 = null, atLeast = false) {
+export function quoted(value, quantity, k2 = null, atLeast = false) {
   if (!known(value)) return null;
   const within = known(k2) ? ` ± ${digitsK2(k2, quantity)}` : "";
   return `${atLeast ? "≥ " : ""}${digits(value, quantity)}${within}${suffix(quantity)}`;

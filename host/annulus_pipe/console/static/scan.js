@@ -6,7 +6,7 @@ import { el, unique, write } from "./dom.js";
 import { events } from "./events.js";
 import { mountMap } from "./map.js";
 import { mountPictures } from "./pictures.js";
-import { DISTANCE, said } from "./rounding.js";
+import { DISTANCE, quoted } from "./rounding.js";
 
 const PHOTO_MAX = 46 << 10; // bytes
 const PHOTO_SIDES = [960, 720, 480, 320];
@@ -60,7 +60,7 @@ function mountReadouts(app) {
 
   app.on("telemetry", (now) => {
     const z = now.z_mm;
-    put("place", z === null || z === undefined ? t("unknown") : said(z, DISTANCE) + (now.z_assumed ? ` ± ${said(now.z_bound_mm, DISTANCE)} ${t("assumed")}` : ""), now.z_assumed ? "warn" : "");
+    put("place", z === null || z === undefined ? t("unknown") : quoted(z, DISTANCE) + (now.z_assumed ? ` ± ${quoted(now.z_bound_mm, DISTANCE)} ${t("assumed")}` : ""), now.z_assumed ? "warn" : "");
     put("speed", typeof now.speed_mm_s === "number" ? `${now.speed_mm_s.toFixed(0)} mm/s` : t("unknown"));
     put("interlock", t(`interlock.${now.interlock ?? "unknown"}`), now.interlock === "open" ? "bad" : now.interlock === "closed" ? "good" : "");
     put("recording", now.recording ? now.recording.split("/").pop() : t("none"));

@@ -2,7 +2,7 @@
 
 import { el, unique, write } from "./dom.js";
 import { age } from "./job.js";
-import { DISTANCE, EXTENT, MEASURE, digits, said } from "./rounding.js";
+import { DISTANCE, EXTENT, MEASURE, digits, quoted } from "./rounding.js";
 
 const AGAIN_MS = 15000; // while it is looked at
 const SHOWN = 100; // rows at once
@@ -138,12 +138,12 @@ function row(app, one, again) {
   );
   const found = [];
   if (typeof one.defects === "number") {
-    found.push(el("span", {}, one.defects === 0 ? t("surveys.defects.none") : t("surveys.defects", { n: one.defects, worst: said(one.worst_mm, MEASURE) ?? t("unmeasured") })));
-    if (typeof one.diameter_mm === "number") found.push(el("span", {}, t("surveys.diameter", { d: said(one.diameter_mm, MEASURE, one.k2_mm) })));
+    found.push(el("span", {}, one.defects === 0 ? t("surveys.defects.none") : t("surveys.defects", { n: one.defects, worst: quoted(one.worst_mm, MEASURE) ?? t("unmeasured") })));
+    if (typeof one.diameter_mm === "number") found.push(el("span", {}, t("surveys.diameter", { d: quoted(one.diameter_mm, MEASURE, one.k2_mm) })));
   }
   if (one.verdict) found.push(el("b", {}, app.word("verdict", one.verdict)));
   if (one.verdict && one.open) found.push(el("span", {}, t("surveys.open_places", { n: one.open })));
-  const length = [said(one.length_mm, DISTANCE), typeof one.frames === "number" ? t("surveys.frames", { n: one.frames }) : null];
+  const length = [quoted(one.length_mm, DISTANCE), typeof one.frames === "number" ? t("surveys.frames", { n: one.frames }) : null];
   const state = [one.state === "whole" ? null : el("b", { class: one.state === "torn" ? "warn" : "" }, t(`surveys.state.${one.state}`)), one.kind === "result" ? null : el("span", {}, one.calibrated ? t("surveys.calibrated", { age: age(app, one.age_days) }) : t("surveys.uncalibrated"))];
   const size = [bytes(one.size), one.parts > 1 ? t("surveys.parts", { n: one.parts }) : null].filter(Boolean).join(", ");
   const press = [];
@@ -170,7 +170,7 @@ function choose(app, one, calibrations) {
     const select = el("select", { id });
     if (one.calibrated) select.append(el("option", { value: "" }, t("surveys.calibration.own", { age: age(app, one.age_days) })));
     for (const other of calibrations) {
-      const diameter = said(other.nominal_diameter_mm, { ...EXTENT, places: 1 });
+      const diameter = quoted(other.nominal_diameter_mm, { ...EXTENT, places: 1 });
       select.append(el("option", { value: other.id }, [other.name, diameter, age(app, other.age_days), other.folder.split("/").pop()].filter(Boolean).join(", ")));
     }
     const no = el("button", { type: "button", class: "big" }, t("cancel"));

@@ -21,7 +21,7 @@ def track(words: Sequence[int], odd: bool) -> list[tuple[int, int]]:
 
 
 def merged(even: Sequence[tuple[int, int]], odd: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Of two tracks of one pin, each change where the first of them saw it. What only one saw is there as well."""
+    """Two tracks of one pin as one: a change that both saw is at the earlier time, one that only one saw is kept."""
     changes: list[tuple[int, int]] = []
     i = j = 0
     while i < len(even) or j < len(odd):

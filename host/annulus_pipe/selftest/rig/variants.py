@@ -225,9 +225,9 @@ def other_flashes_do_not_touch_the_triggers(board: Board) -> str:
     orders = [(5 * MS, command) for command in again] + [(20 * MS, command) for command in other]
     scene = Scene(until=20 * MS, watch=(PIN_CAMERA_TRIGGER, PIN_LED), orders=orders, after=10 * MS)
     played = board.play(scene)
-    said = [reply.status for reply in played.replies if reply]
+    answers = [reply.status for reply in played.replies if reply]
     good, bad = StatusCode.OK, StatusCode.BAD_STATE
-    expect(said == [good, bad, good, good, bad], f"answered {[status.name.lower() for status in said]}")
+    expect(answers == [good, bad, good, good, bad], f"answered {[status.name.lower() for status in answers]}")
     widths, begins = played.widths(PIN_CAMERA_TRIGGER), played.rises(PIN_CAMERA_TRIGGER)
     between = [b - a for a, b in itertools.pairwise(begins)]
     seen = f"{len(widths)} of {span(widths)} every {span(between)}"

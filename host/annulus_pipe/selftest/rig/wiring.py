@@ -232,14 +232,14 @@ def _odometer(board: RigBoard, missing: set[int], wrong: list[str]) -> None:
 def _second_input(board: RigBoard, missing: set[int]) -> None:
     """Moved while nobody is armed: it says so, once configured."""
     ok(board, Interlock(InterlockFlag.ANTIVALENT))
-    told = []
+    reported = []
     for level in (0, 1):
         board.play(Scene(until=2 * MS, edges=[(MS, PIN_INTERLOCK_ANTIVALENT, level)]))
         reply = board.request(Hardware())
         assert isinstance(reply, HardwareReply)
-        told.append(InterlockFlag.ANTIVALENT_OPEN in reply.interlock)
+        reported.append(InterlockFlag.ANTIVALENT_OPEN in reply.interlock)
     ok(board, Interlock(InterlockFlag(0)))
-    if told != [True, False]:
+    if reported != [True, False]:
         missing.add(PIN_INTERLOCK_ANTIVALENT)
 
 

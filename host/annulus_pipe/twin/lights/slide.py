@@ -4,11 +4,11 @@ from typing import Any
 
 import numba.extending
 
-from annulus_pipe.twin.lights.fringes import FringeSlide
 from annulus_pipe.twin.lights.slits import Slits
 from annulus_pipe.twin.stretch import OPTIONS
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
+from annulus_pipe.wings.fringe.lights import FringeSlide
 
 Slide = Slits | FringeSlide
 

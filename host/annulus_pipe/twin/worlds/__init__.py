@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 
 from annulus_pipe.twin.worlds.features import Feature, clock_text
 from annulus_pipe.twin.worlds.fittings import FITTINGS
-from annulus_pipe.twin.worlds.fringe import mirror_fringe_world, modules_world, series_world
 from annulus_pipe.twin.worlds.mirror import mirror_world
 from annulus_pipe.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus_pipe.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted, translucent
 from annulus_pipe.twin.worlds.sensor_head import Optics
 from annulus_pipe.twin.worlds.stereo import stereo_world
 from annulus_pipe.twin.worlds.world import World
+from annulus_pipe.wings.fringe.worlds import mirror_fringe_world, modules_world, series_world
 
 __all__ = [
     "CONTAMINATED",

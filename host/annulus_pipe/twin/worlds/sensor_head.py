@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from annulus_pipe.fringe import FringeProjector
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.fringe.measure import FringeProjector
 
 Response = tuple[tuple[float, float, float], ...]
 

@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.fringe import FringeProjector, Lamp, lamps_to_list, projector_to_dict
 from annulus_pipe.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector, matrix_of, vector_of
 from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
@@ -25,6 +24,7 @@ from annulus_pipe.twin.worlds.features import Feature
 from annulus_pipe.twin.worlds.paint import WHITE, print_line, stain
 from annulus_pipe.twin.worlds.sensor_head import Fringe, Fringes, Led, Optics, Projector, Rod
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.fringe.measure import FringeProjector, Lamp, lamps_to_list, projector_to_dict
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
@@ -158,12 +158,20 @@ class World:
             place = np.array(other.translation_mm) - own @ moved
             others.append(replace(other, rotation=matrix_of(own), translation_mm=vector_of(place)))
         several = len(lamps) > 1 or bool(lamps[0].cameras)
-        told = {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        lights = (
+            {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        )
         beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": self.optics.black}}
         if self.mounted[0] != STILL:
             beside["pipe"] = {"rotation": turn.T.tolist(), "translation_mm": (-turn.T @ moved).tolist()}
         return Calibration(
-            self.camera, "", (), self.radius_mm, others=tuple(others), pattern={"kind": "fringe", **told}, beside=beside
+            self.camera,
+            "",
+            (),
+            self.radius_mm,
+            others=tuple(others),
+            pattern={"kind": "fringe", **lights},
+            beside=beside,
         )
 
     def truth(self) -> dict[str, Any]:

@@ -5,9 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.crossbore import BORES, Account, Grid, Head, Indication, Kind, Log, detect, likely, on_grid
-from annulus_pipe.record.bore_log import read_bore_log
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.crossbore.log_file import read_bore_log
+from annulus_pipe.wings.crossbore.measure import (
+    BORES,
+    Account,
+    Grid,
+    Head,
+    Indication,
+    Kind,
+    Log,
+    detect,
+    likely,
+    on_grid,
+)
 from tools.bench.blind.others.bore_logs import Drawn, Sewer, draw, logged
 from tools.bench.blind.others.tally import Case
 from tools.bench.blind.score import Number

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.joints import features, image, summary
-from annulus_pipe.record.volume import open_volume
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.joints.measure import features, image, summary
+from annulus_pipe.wings.joints.volume_file import open_volume
 from tools.bench.blind.others.joint_volumes import BELL, Flaw, Joint, draw, scanned, wave
 from tools.bench.blind.others.tally import Case
 from tools.bench.blind.score import Number

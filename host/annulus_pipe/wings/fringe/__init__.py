@@ -1,0 +1,1 @@
+"""Scans under a slide of fringes: the heights of a plate, the wall of a pipe, by motion phase shifting."""

@@ -1,0 +1,182 @@
+"""The projector of a head from a clean pipe: its place, direction and phase law, with their sigma.
+
+    told = calibrate_pipe(cameras, designed, shots, shift_mm, radius_mm)
+
+The pipe's radius is known and its wall is smooth; the head stands aside by known amounts, a frame each. Rays of a
+camera whose lens is known meet the wall at known places, so each frame shows the slide's phase over a surface, and a
+few millimetres aside show it over another: together they say where the light comes from. How the head lies in the pipe
+altogether (offset and lean, the same in all frames) is found with it, and so is the waveform: harmonics, which stand
+for the slide's gamma too. First comes a search that knows no local minimum within SEARCH of the design: the tilt and
+the period under which all light adds up in phase.
+
+Wrong where the radius is: the projector's place scales with it. What one lens gets wrong, this makes the projector's.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from annulus_pipe.geometry.calibration import HeadCamera
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.numeric.robust import robust_sigma
+from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.fringe.measure.heights import Points
+from annulus_pipe.wings.fringe.measure.pipe import lit_wall
+from annulus_pipe.wings.fringe.measure.placement import (
+    LAW,
+    Eye,
+    Freedom,
+    Head,
+    Looks,
+    Shots,
+    changed,
+    refined,
+    shaded,
+    shading_terms,
+)
+from annulus_pipe.wings.fringe.measure.projector import FringeProjector
+
+CELLS = (30, 60)  # along and round: what is sampled of the wall
+SEARCH_RAD, SEARCH_STEPS = 0.02, 13  # tilts either way tried first
+SEARCH_PERIOD, PERIOD_STEPS = 0.02, 21  # of the logarithm of the period
+ROUNDS = 16
+STILL = 0.02  # sigma a number may change in a round that is the last
+PLACE_SIGMA_MM, TILT_SIGMA, PERIOD_SIGMA = 20.0, 0.05, 0.05  # what is believed of a design
+OFFSET_SIGMA_MM, LEAN_SIGMA = 5.0, 0.05  # and of how the head lies in the pipe
+HARMONICS = 2  # pairs sought: blur leaves no more of a slide
+COHERENT = 0.15  # of all light adding up, over what a slide of full modulation has: below it is another slide
+
+
+@dataclass(frozen=True, slots=True)
+class PipeCalibration:
+    """What a clean pipe says. projector, and sigma of its centre_mm (3), direction (2, rad about its x and y), phase0
+    (rad), logarithm of the period, harmonics, in this order; covariance of the same. pose : (6,) how the head lay.
+    misfit : grey levels. reversed : the places were told the other way round, as those of the pipe before the head."""
+
+    projector: FringeProjector
+    sigma: FloatArray
+    covariance: FloatArray
+    pose: FloatArray
+    misfit: float
+    frames: int
+    reversed: bool = False
+
+
+def calibrate_pipe(
+    cameras: Sequence[HeadCamera],
+    designed: FringeProjector,
+    shots: Shots,
+    shift_mm: FloatArray,
+    radius_mm: float,
+    *,
+    shift_sigma_mm: float = 0.01,
+) -> PipeCalibration:
+    """The projector of `designed`'s kind as the frames say it is.
+
+    cameras : those that look at the slide's light, in a frame whose z lies along the pipe. shift_mm : (F, 3) where the
+    head stood, pipe frame; z is nothing a clean
+    pipe tells of. Told for the pipe before the head (the other sign), that is found out, and said. shift_sigma_mm : how
+    well that is known. designed : about where the projector is meant to be; its phase0 is not used. AnnulusError for
+    fewer than three places, and where frames and design do not go together.
+    """
+    shift_mm = np.asarray(shift_mm, dtype=float)
+    if len(shots.flash) and int(shots.flash.max()) >= len(shift_mm):
+        raise AnnulusError(f"{int(shots.flash.max()) + 1} flashes for {len(shift_mm)} places")
+    if designed.kind != "rings":
+        raise AnnulusError(f"a slide of {designed.kind}: a clean pipe calibrates rings")
+    if len(shift_mm) < 3 or np.linalg.matrix_rank(shift_mm[:, :2] - shift_mm[0, :2], tol=radius_mm * 1e-3) < 2:
+        raise AnnulusError(
+            f"{len(shift_mm)} frames whose places aside do not span a plane: at least three, not in a line"
+        )
+    head = Head.at([Eye(camera, designed) for camera in cameras], shots, shift_mm, radius_mm)
+    head, coefficients, (near, far) = lit_wall(head, shots.images)
+    z = np.linspace(near, far, CELLS[0]) + float(np.median(shift_mm[:, 2]))
+    points = Points.pipe(np.arange(CELLS[1]) * 2 * np.pi / CELLS[1], z, radius_mm)
+    other = replace(head, poses=head.poses * [1, 1, 1, -1, -1, 1])
+    tried = [(*_found(one, coefficients, points), one, backwards) for backwards, one in enumerate((head, other))]
+    coherent, slide, head, backwards = max(tried, key=lambda one: one[0])
+    if coherent < COHERENT / 2:
+        raise AnnulusError(
+            f"the frames' light adds up to {coherent:.2f} under the designed slide, expected above {COHERENT / 2:.2f}: "
+            "another slide, or a projector far from its design"
+        )
+    head = head.under(slide)
+    count = LAW + 2 * HARMONICS
+    freedom = Freedom(
+        head.poses,
+        np.tile([0.0, 0.0, 0.0, shift_sigma_mm, shift_sigma_mm, 0.0], (len(shift_mm), 1)),
+        np.array([LEAN_SIGMA, LEAN_SIGMA, 0.0, OFFSET_SIGMA_MM, OFFSET_SIGMA_MM, 0.0]),
+        np.array([PLACE_SIGMA_MM] * 3 + [TILT_SIGMA, TILT_SIGMA, 10.0, PERIOD_SIGMA]),
+    )
+    misfit = _misfit(head, coefficients, points)
+    noise, covariance = (max(misfit**2, 1 / 12), 0.0, 0.0), np.eye(1)
+    for turn in range(ROUNDS):
+        if turn == ROUNDS // 4:
+            freedom = replace(freedom, harmonics=HARMONICS)
+        before = head.projector
+        head, covariance = refined(head, coefficients, points, freedom, noise)
+        misfit = _misfit(head, coefficients, points)
+        noise = (max(misfit**2, 1 / 12), 0.0, 0.0)
+        moved = np.abs(np.array(head.projector.centre_mm) - np.array(before.centre_mm))
+        if turn > ROUNDS // 4 and (moved < STILL * np.sqrt(np.diag(covariance)[-count : -count + 3])).all():
+            break
+    block = covariance[-count:, -count:]
+    return PipeCalibration(
+        head.projector,
+        np.sqrt(np.diag(block)),
+        block,
+        head.poses.mean(axis=0),
+        misfit,
+        len(shots.images),
+        bool(backwards),
+    )
+
+
+def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, FringeProjector]:
+    """The design, turned and stretched until all light adds up in phase, and how much that is: half the modulation."""
+    here = Looks.of(head, images, points.base, points.normal)
+    good = np.isfinite(here.grey)
+    if not good.any():
+        raise AnnulusError("no wall is lit: are these frames of a clean pipe?")
+    terms, swing = shading_terms(head, here.seen), np.zeros(good.shape)
+    for eye in range(len(head.eyes)):
+        mine = good & (head.eye == eye)[:, None]
+        level = terms[mine] @ np.linalg.lstsq(terms[mine], here.grey[mine], rcond=None)[0]
+        swing[mine] = here.grey[mine] / np.maximum(level, 1.0) - 1.0
+
+    def sum_of(projector: FringeProjector) -> complex:
+        view = head.under(projector).view
+        phase = np.stack([view.phase(points.base, n) for n in range(len(images))])
+        return complex((swing * np.exp(-1j * phase))[good].mean())
+
+    best, height = np.zeros(LAW), 0.0
+    for _ in range(2):
+        tilts = np.linspace(-SEARCH_RAD, SEARCH_RAD, SEARCH_STEPS)
+        for a in tilts:
+            for b in tilts:
+                trial = np.array([0, 0, 0, a, b, 0, best[6]])
+                found = abs(sum_of(changed(head.projector, trial)))
+                if found > height:
+                    best, height = trial, found
+        for stretch in np.linspace(-SEARCH_PERIOD, SEARCH_PERIOD, PERIOD_STEPS):
+            trial = np.append(best[:6], stretch)
+            found = abs(sum_of(changed(head.projector, trial)))
+            if found > height:
+                best, height = trial, found
+    nearly = changed(head.projector, best)
+    return height, replace(nearly, phase0=nearly.phase0 + float(np.angle(sum_of(nearly))))
+
+
+def _misfit(head: Head, images: Float32Array, points: Points) -> float:
+    """Grey levels that frames differ from the model, robustly."""
+    here = Looks.of(head, images, points.base, points.normal)
+    gain, depth = shaded(head, shading_terms(head, here.seen))
+    unit = gain * (1 + depth * head.view.wave(here.phase))
+    good = np.isfinite(here.grey)
+    grey = np.where(good, here.grey, 0.0)
+    below = np.where(good, unit**2, 0.0).sum(axis=0)
+    level = np.where(good, grey * unit, 0.0).sum(axis=0) / np.maximum(below, 1e-9)
+    several = good & (good.sum(axis=0) > 2)
+    return robust_sigma((here.grey - level * unit)[several]) * math.sqrt(len(images) / (len(images) - 1))

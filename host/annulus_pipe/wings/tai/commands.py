@@ -1,0 +1,297 @@
+"""`annulus tai`: thermoacoustics, from coded bursts to an image."""
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from annulus_pipe.cli.show import ChipUs, Json, group, progress
+from annulus_pipe.controller import BURST_REPEAT_MAX
+from annulus_pipe.vocabulary import AnnulusError
+
+app = group("Thermoacoustic imaging: simulate or acquire a sweep, decode it, make its image.")
+
+Code = Annotated[
+    str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or 0s and 1s.")
+]
+
+
+@app.command(
+    "simulate", epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5"
+)
+def simulate_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
+    phantom: Annotated[str, typer.Option(help="inclusions, core, wires, shapes.")] = "inclusions",
+    code: Code = "mpsl25-stuffed",
+    chip_us: ChipUs = 0.5,
+    positions: Annotated[int, typer.Option(min=3, max=1024, help="Angles of the turntable.")] = 50,
+    radius_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the turntable, mm.")
+    ] = 25.0,
+    rate_mhz: Annotated[float, typer.Option(min=0.5, max=1000.0, help="Sampling rate, MHz.")] = 25.0,
+    sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
+    noise: Annotated[float, typer.Option(min=0.0, help="Rms of one shot, in pressures of one pulse.")] = 0.02,
+    averages: Annotated[int, typer.Option(min=1, max=1_000_000, help="Shots averaged at each angle.")] = 1,
+    spike: Annotated[float, typer.Option(min=0.0, help="Coupling of the microwave into the receiver.")] = 0.0,
+    band_mhz: Annotated[float, typer.Option(min=0.0, help="Centre of the transducer, MHz; 0 hears everything.")] = 2.25,
+    bandwidth: Annotated[
+        float, typer.Option(min=0.05, max=1.9, help="Its width at -6 dB, as part of the centre.")
+    ] = 0.7,
+    aperture_mm: Annotated[float, typer.Option(min=0.0, max=100.0, help="Width of the receiver's face, mm.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 1,
+) -> None:
+    """One turn of the turntable about a known sample, with real propagation, receiver and noise."""
+    from annulus_pipe.wings.tai.acoustic_file import save_acoustic
+    from annulus_pipe.wings.tai.measure.confinement import confinement
+    from annulus_pipe.wings.tai.measure.phantoms import phantom as named
+    from annulus_pipe.wings.tai.measure.phantoms import smallest_mm
+    from annulus_pipe.wings.tai.simulate import Setup, simulate
+
+    setup = Setup(
+        code,
+        1e-6 * chip_us,
+        radius_mm,
+        positions,
+        1e6 * rate_mhz,
+        sound_speed,
+        1.0,
+        noise,
+        averages,
+        (1e6 * band_mhz, bandwidth) if band_mhz else None,
+        aperture_mm,
+        spike,
+        seed,
+    )
+    for warning in confinement(smallest_mm(named(phantom)), 1e-6 * chip_us, sound_speed).warnings:
+        print(f"warning    {warning}")
+    with progress() as report:
+        record = simulate(named(phantom), setup, report)
+    save_acoustic(out, record)
+    print(f"{len(record.signals)} positions of {record.signals.shape[1]} samples  {out}")
+
+
+@app.command(
+    "acquire",
+    epilog="Example: annulus tai acquire --port /dev/ttyACM0 --scope TCPIP::192.168.1.20::5025::SOCKET "
+    "--averages 64 -o raw.hdf5. Without hardware: annulus tai acquire --twin -o raw.hdf5",
+)
+def acquire_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of the controller: /dev/ttyACM0, a pty, socket://host:port.")
+    ] = None,
+    scope: Annotated[
+        str | None, typer.Option(help="VISA name of the digitizer: TCPIP::host::5025::SOCKET, TCPIP::host::INSTR.")
+    ] = None,
+    twin: Annotated[bool, typer.Option("--twin", help="On the twin's rig, with the controller's own code.")] = False,
+    phantom: Annotated[str, typer.Option(help="Of the twin: inclusions, core, wires, shapes.")] = "inclusions",
+    code: Code = "mpsl25-stuffed",
+    chip_us: ChipUs = 0.5,
+    angles: Annotated[int, typer.Option(min=1, max=1024, help="Over one turn of the turntable.")] = 50,
+    averages: Annotated[int, typer.Option(min=1, max=BURST_REPEAT_MAX, help="Bursts at each angle.")] = 16,
+    period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
+    trigger_offset_us: Annotated[
+        float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")
+    ] = 0.0,
+    radius_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the turntable, mm.")
+    ] = 25.0,
+    sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
+    rate_mhz: Annotated[float, typer.Option(min=0.1, max=5000.0, help="Sampling rate at least, MHz.")] = 10.0,
+    duration_us: Annotated[
+        float | None, typer.Option(min=1.0, max=1e6, help="Of a record, us. Default: the way across and the code.")
+    ] = None,
+    range_v: Annotated[float, typer.Option(help="Full scale of the digitizer, V.")] = 0.08,
+    channel: Annotated[int, typer.Option(min=1, max=4, help="Of the digitizer; the trigger goes to EXT.")] = 1,
+    arm_ms: Annotated[
+        float, typer.Option(min=0.0, max=5000.0, help="The digitizer takes to wait for triggers.")
+    ] = 50.0,
+    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the turntable.")] = 400,
+    step_us: Annotated[float, typer.Option(min=100.0, max=1e6, help="Step to step, us.")] = 1000.0,
+    encoder: Annotated[
+        int, typer.Option(min=0, help="Counts a turn of an encoder on the turntable; 0: there is none.")
+    ] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the file: shoot what it has not yet.")] = False,
+    homed: Annotated[
+        bool, typer.Option("--homed", help="With --resume: the turntable was put back to its first angle by hand.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """One turn of the turntable: burst and record at every angle. The microwave is armed for each shot by itself.
+
+    The file is whole after every shot; Ctrl-C, a fault or a lost digitizer ends the sweep with what it has (status not
+    0), --resume goes on. A fault has to be cleared first (`annulus head clear`).
+    """
+    from annulus_pipe.wings.tai.acquire import Plan, acquire
+    from annulus_pipe.wings.tai.digitizer import ScopeDigitizer
+
+    if twin == (port is not None or scope is not None) or (port is None) != (scope is None):
+        raise AnnulusError("give --port and --scope, or --twin alone")
+    plan = Plan(
+        code,
+        chip_us,
+        angles,
+        averages,
+        period_us,
+        trigger_offset_us,
+        radius_mm,
+        sound_speed,
+        rate_mhz,
+        duration_us,
+        range_v,
+        steps_per_turn,
+        step_us,
+        encoder,
+    )
+    notes: list[str] = []
+    with contextlib.ExitStack() as stack:
+        report = stack.enter_context(progress())
+        if twin:
+            from annulus_pipe.twin.real_time import serving
+            from annulus_pipe.wings.tai.simulated.rig import rig_named
+
+            rig = stack.enter_context(
+                serving(rig_named(phantom, radius_mm, sound_speed, steps_per_turn, progress=report))
+            )
+            port, scope, homed = rig.port_url, rig.scope_name, True
+        assert port is not None and scope is not None
+        digitizer = stack.enter_context(ScopeDigitizer(scope, channel=channel, settle_s=1e-3 * arm_ms))
+        try:
+            done = acquire(port, digitizer, plan, out, resume=resume, homed=homed, say=notes.append, progress=report)
+        finally:
+            stack.close()
+            for note in notes:
+                print(f"note       {note}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(done.to_dict()))
+        return
+    for finding in done.findings:
+        print(f"warning    {finding}")
+    print(
+        f"shot       {done.shot} of {done.positions} angles in {done.seconds:.1f} s, {done.retries} shots again, "
+        f"{done.sampling_rate_hz / 1e6:.4g} MHz"
+    )
+    print(f"sweep      {out}")
+
+
+@app.command("decode", epilog="Example: annulus tai decode raw.hdf5 -o decoded.hdf5")
+def decode_command(
+    source: Annotated[Path, typer.Argument(help="Raw sweep: .hdf5 (IPASC) or .npz.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    second: Annotated[Path | None, typer.Option(help="The pair's second sweep (manchester2).")] = None,
+    template: Annotated[Path | None, typer.Option(help="From `annulus burst design -o`; default: minimax.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Compress a coded sweep into what one pulse would have been heard as."""
+    from annulus_pipe.wings.tai.acoustic_file import load_acoustic, save_acoustic
+    from annulus_pipe.wings.tai.decode import code_name, decode_record, decode_records, detected_code, load_template
+
+    record = load_acoustic(source)
+    if not record.code:
+        raise AnnulusError(f"{source}: does not say what was sent; expected a raw sweep with its code")
+    answer: dict[str, Any] = {"code": code_name(record.code), "detected_code": detected_code(record)}
+    if second is not None:
+        decoded = decode_records(record, load_acoustic(second))
+    else:
+        decoded, used = decode_record(record, load_template(template) if template else None)
+        if used is not None:
+            answer |= {"psr": used.psr, "gain_db": used.gain_db, "ceiling_db": used.ceiling_db}
+    save_acoustic(out, decoded)
+    if as_json:
+        print(json.dumps(answer))
+        return
+    if answer["detected_code"]:
+        print(f"warning    it sounds like {answer['detected_code']}, not {answer['code']}")
+    if "psr" in answer:
+        print(
+            f"template   {answer['code']}: sidelobes 1/{answer['psr']:.1f}, {answer['gain_db']:.2f} dB over one pulse"
+        )
+    print(f"decoded    {out}")
+
+
+@app.command(
+    "image",
+    epilog="Example: annulus tai image raw.hdf5 -o result --search 1400 1600 --band 0.3 3 --region -8 8 -8 8. "
+    "Takes IPASC .hdf5, or .npz with signals "
+    "[positions, samples], angles_deg, radius_mm, sampling_rate_hz, and if known t0_s, sound_speed_m_s.",
+)
+def image_command(
+    source: Annotated[Path, typer.Argument(help="Sweep, raw or decoded: .hdf5 (IPASC) or .npz.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for image.npz and image.png; made if need be.")],
+    method: Annotated[str, typer.Option(help="time-reversal, or back-projection for a quick look.")] = "time-reversal",
+    pixel_mm: Annotated[float | None, typer.Option(help="Default: as fine as the sound's band.")] = None,
+    sound_speed: Annotated[float | None, typer.Option(help="m/s. Default: as recorded, else water.")] = None,
+    search: Annotated[
+        tuple[float, float] | None, typer.Option(help="Find the speed of sound between these, m/s.")
+    ] = None,
+    refine: Annotated[int, typer.Option(min=0, max=50, help="Neumann refinements at most.")] = 0,
+    nonnegative: Annotated[
+        bool, typer.Option("--nonnegative", help="While refining; not for band-limited sound.")
+    ] = False,
+    object_radius_mm: Annotated[
+        float | None, typer.Option(help="The sample lies within. Default: 0.85 of the circle.")
+    ] = None,
+    template: Annotated[Path | None, typer.Option(help="For a coded sweep, from `annulus burst design -o`.")] = None,
+    sound: Annotated[
+        str | None,
+        typer.Option(
+            help="space (of small parts, as real sound is) or plane (of long ones, and the twin's). Default: as "
+            "recorded, else as receivers agree better."
+        ),
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Use only the sound between these, MHz. Example: --band 0.3 3 takes hum and hiss away."),
+    ] = None,
+    region: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="X0 X1 Y0 Y1",
+            help="Show only this part, mm, and search the speed in it. Example: --region -8 8 -5 5.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """The sample's absorbed power from the sound around it.
+
+    --search finds the speed of sound at which receivers agree, and says what it would be were the sound of the other
+    kind (--sound). A receiver that agrees with no other is named and left out.
+    """
+    from annulus_pipe.wings.tai.image import ImageSettings, make_image
+    from annulus_pipe.wings.tai.measure.imaging import Region
+
+    if method not in ("time-reversal", "back-projection"):
+        raise AnnulusError(f"--method {method!r}: expected time-reversal or back-projection")
+    if sound not in (None, "space", "plane"):
+        raise AnnulusError(f"--sound {sound!r}: expected space or plane")
+    if search is not None and sound_speed is not None:
+        raise AnnulusError("--search and --sound-speed: give one of them")
+    settings = ImageSettings(
+        method,  # type: ignore[arg-type]
+        pixel_mm,
+        sound_speed,
+        search,
+        (1e6 * band[0], 1e6 * band[1]) if band else None,
+        sound,  # type: ignore[arg-type]
+        Region(*region) if region else None,
+        object_radius_mm,
+        refine,
+        nonnegative,
+    )
+    with progress() as report:
+        result = make_image(source, out, settings, template, report)
+    if as_json:
+        print(json.dumps(result.to_dict()))
+        return
+    for finding in result.findings:
+        print(f"note       {finding}")
+    for start, stop in result.holes_deg:
+        print(f"hole       nothing was heard from {start:.1f} to {stop:.1f} deg")
+    print(f"method     {result.method}, {result.positions - len(result.excluded)} of {result.positions} positions")
+    how = "found" if result.sound_speed_searched else "taken"
+    print(f"speed      {result.sound_speed_m_s:.1f} m/s ({how})")
+    print(f"pixel      {result.pixel_mm:.3f} mm, {result.size[0]} x {result.size[1]}")
+    print(f"image      {out / 'image.png'}, {out / 'image.npz'}")

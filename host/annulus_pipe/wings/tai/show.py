@@ -1,0 +1,87 @@
+"""`annulus burst show`: a pattern and its timing, in letters, as fields and as a picture."""
+
+from pathlib import Path
+from typing import Any
+
+from annulus_pipe.controller import TICKS_PER_US, TRIGGER_TICKS
+from annulus_pipe.link.codes import Finding, Train, text
+from annulus_pipe.vocabulary import AnnulusError
+
+CHIPS_A_ROW = 64
+
+
+def fields(code: str, train: Train, findings: list[Finding]) -> dict[str, Any]:
+    pulses = train.pulses_ticks / TICKS_PER_US
+    return {
+        "code": code,
+        "pattern": text(train.chips),
+        "chips": len(train.chips),
+        "ones": int(train.chips.sum()),
+        "chip_us": train.chip_ticks / TICKS_PER_US,
+        "burst_us": train.burst_ticks / TICKS_PER_US,
+        "pulses_us": [{"start": float(start), "length": float(length)} for start, length in pulses],
+        "repeat": train.repeat,
+        "period_us": train.period_ticks / TICKS_PER_US,
+        "trigger_us": [train.trigger_offset_ticks / TICKS_PER_US, TRIGGER_TICKS / TICKS_PER_US],
+        "train_s": train.train_s,
+        "duty": train.duty,
+        "limits": [
+            {"name": f.name, "value": f.value, "allowed": list(f.allowed), "unit": f.unit, "ok": f.ok} for f in findings
+        ],
+        "ok": all(finding.ok for finding in findings),
+    }
+
+
+def drawing(code: str, train: Train, findings: list[Finding]) -> list[str]:
+    """Rows of chips with the time at which each row begins, then the numbers."""
+    lines = []
+    for at in range(0, len(train.chips), CHIPS_A_ROW):
+        row = "".join("█" if chip else "▁" for chip in train.chips[at : at + CHIPS_A_ROW])
+        lines.append(f"{at * train.chip_ticks / TICKS_PER_US:>9.2f} us  {row}")
+    burst, ones = train.burst_ticks / TICKS_PER_US, int(train.chips.sum())
+    trigger = train.trigger_offset_ticks / TICKS_PER_US
+    lines += [
+        "",
+        f"code             {code}: {len(train.chips)} chips of {train.chip_ticks / TICKS_PER_US:g} us, {ones} on,"
+        f" {len(train.pulses_ticks)} pulses",
+        f"burst            {burst:g} us, then dark to {train.period_ticks / TICKS_PER_US:g} us",
+        f"trigger          {trigger:+g} us from chip 0, {TRIGGER_TICKS / TICKS_PER_US:g} us long",
+        f"train            {train.repeat} bursts in {train.train_s:g} s",
+    ]
+    for f in findings:
+        lines.append(f"{f.name:<16} {f.value:g} {f.unit} ({f.expected}){'' if f.ok else '  REFUSED'}")
+    return lines
+
+
+def picture(code: str, train: Train, out: Path) -> None:
+    """Gate and trigger of one burst, chip by chip, and of the period they stand in."""
+    from matplotlib.figure import Figure
+
+    burst, period = train.burst_ticks / TICKS_PER_US, train.period_ticks / TICKS_PER_US
+    trigger = train.trigger_offset_ticks / TICKS_PER_US
+    edges = [(t / TICKS_PER_US, level) for t, level in train.edges_ticks()]
+    gate = ([trigger - period, *(t for t, _ in edges), period + burst], [0, *(level for _, level in edges), 0])
+    line = ([trigger - period, trigger, trigger + TRIGGER_TICKS / TICKS_PER_US, period + burst], [0, 1, 0, 0])
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    near, far = figure.subplots(2, 1, height_ratios=(2, 1))
+    margin = 0.05 * burst + train.chip_ticks / TICKS_PER_US
+    for axes, span in (
+        (near, (min(-margin, trigger - margin), max(burst, trigger + 1) + margin)),
+        (far, (-0.02 * period, period)),
+    ):
+        axes.step(gate[0], [1.3 + v for v in gate[1]], where="post", color="C3", label="microwave GP5")
+        axes.step(*line, where="post", color="C0", label="digitizer trigger GP6")
+        axes.set_xlim(*span)
+        axes.set_yticks([0, 1, 1.3, 2.3], ["0", "1", "0", "1"])
+        axes.set_xlabel("us after chip 0")
+    if len(train.chips) <= 128:
+        near.set_xticks([i * train.chip_ticks / TICKS_PER_US for i in range(len(train.chips) + 1)], minor=True)
+        near.grid(axis="x", which="minor", alpha=0.3)
+    near.set_ylim(-0.1, 3.1)
+    near.legend(loc="upper right", ncols=2)
+    near.set_title(f"{code}: {len(train.chips)} chips of {train.chip_ticks / TICKS_PER_US:g} us")
+    far.set_title(f"period {period:g} us, duty {100 * train.duty:.3g} %", fontsize="medium")
+    try:
+        figure.savefig(out, dpi=150)
+    except OSError as error:
+        raise AnnulusError(f"{out}: cannot be written ({error.strerror}), expected a folder that takes it") from None
