@@ -19,8 +19,8 @@ from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.archive.catalogue import Added
-    from annulus_pipe.archive.catalogue_pieces import Damage
-    from annulus_pipe.archive.catalogue_query import Answer
+    from annulus_pipe.archive.catalogue.pieces import Damage
+    from annulus_pipe.archive.catalogue.query import Answer
 
 app = group("Surveys of many pipes over the years: a catalogue of them, and questions to it.")
 app.command(epilog=COMPARE_EXAMPLE)(compare)
@@ -173,7 +173,7 @@ def query_command(
     Views: surveys, stations, defects, joints; undecided, features; all_surveys and so on with what is superseded.
     DESCRIBE stations names the columns, each with its unit.
     """
-    from annulus_pipe.archive.catalogue_query import open_catalogue
+    from annulus_pipe.archive.catalogue import open_catalogue
 
     if sum((as_json, as_csv, parquet is not None)) > 1:
         raise AnnulusError("--json, --csv and --parquet do not go together, expected one of them")
@@ -201,7 +201,7 @@ def query_command(
 
 def _named(name: str, show: bool) -> str | None:
     """The SQL of a question; None: it, or the list of them, has been printed."""
-    from annulus_pipe.archive.catalogue_questions import QUESTIONS
+    from annulus_pipe.archive.catalogue.questions import QUESTIONS
 
     if name == "list":
         for known, question in QUESTIONS.items():

@@ -29,8 +29,9 @@ from annulus_pipe.numeric.rounding import (
     span,
 )
 from annulus_pipe.report.account import Account
-from annulus_pipe.report.close_up import across, along, part_of_map, photograph
+from annulus_pipe.report.cuts import across, along
 from annulus_pipe.report.paper import letter, marked, question
+from annulus_pipe.report.photographs import part_of_map, photograph
 from annulus_pipe.wall.accuracy import tolerances
 from annulus_pipe.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict
 from annulus_pipe.wall.defects import Kind

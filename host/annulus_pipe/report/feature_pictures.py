@@ -8,17 +8,16 @@ from matplotlib.patches import Rectangle
 
 from annulus_pipe.numeric.arrays import BoolArray
 from annulus_pipe.numeric.rounding import clock_face
-from annulus_pipe.report.maps import DISTANCE_LABEL
 from annulus_pipe.report.paper import (
     BUMP_BLUE,
     DEVIATION,
+    DISTANCE_LABEL,
     DPI,
     FAINT,
     FEATURE,
     INK,
     LOSS_RED,
     UNSEEN,
-    in_style,
     letter,
     png,
     question,
@@ -42,8 +41,7 @@ def draw_features(survey: Survey) -> tuple[tuple[str, bytes], ...]:
         if f.kind is not FeatureKind.CROSS_BORE
     ]
     places = [(question(i), d.z_range_mm, d.clock_deg, d.arc_deg) for i, d in enumerate(survey.detection.undecided)]
-    with in_style():
-        return tuple((name, _picture(survey, z, clock, arc)) for name, z, clock, arc in (*features, *places))
+    return tuple((name, _picture(survey, z, clock, arc)) for name, z, clock, arc in (*features, *places))
 
 
 def _picture(survey: Survey, z_range: tuple[float, float], clock_deg: float, arc_deg: float) -> bytes:

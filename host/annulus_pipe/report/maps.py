@@ -1,12 +1,11 @@
-"""Maps and curves along the pipe, one panel each, over one stretch of it: what single pictures and sheets are made of.
+"""Maps of the wall, clock position against distance: deviation, colour, which camera saw what.
 
 The picture is never finer than the paper: of a long stretch a map shows the farthest departure in each place, so that a
 short defect is not lost between two dots, and the mean of the colours.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -17,66 +16,159 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus_pipe.numeric.arrays import BoolArray, Float32Array
-from annulus_pipe.numeric.rounding import MEASURE, PERCENT, SHARE, quoted
+from annulus_pipe.numeric.arrays import Float32Array
+from annulus_pipe.numeric.rounding import MEASURE, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report.marks import Mark, draw_marks, name_above
 from annulus_pipe.report.paper import (
-    BUMP_BLUE,
+    AXES_MM,
     DEVIATION,
     FAINT,
-    FEATURE,
     HIDDEN,
     INK,
-    LOSS_RED,
     UNSEEN,
+    Stretch,
     bar_beside,
+    png,
     round_up,
+    scale_of,
+    stack,
 )
-from annulus_pipe.wall.defects import ALL_ROUND_DEG, Kind
-from annulus_pipe.wall.stations import OVALITY_NAME
 from annulus_pipe.wall.survey import Survey
 
-DISTANCE_LABEL = "distance along the pipe, m"
 ROWS_MAX = 2400  # of a map: two a dot
 HUE_MM = 6.0  # over which a picture's hues are averaged
+ABOVE_MM = 17.0  # a map's title, legend and brackets
+MAP_MM = (60.0, 92.0)  # least and greatest height of a map
 NOT_SEEN: dict[str, Any] = {"fc": UNSEEN, "hatch": "////", "ec": "#aab1b9", "lw": 0}
 SHARED = "#3f8f5b"  # what several cameras saw, and what each did
 OWN = ("#e0912f", "#7a5aa6", "#2f79c4", "#b3261e", "#8a6d3b", "#4b2e83", "#0b7285", "#d6336c") * 2
 LEGEND_COLUMNS = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Part of the pipe: what every panel of a picture shows. rows : of the grid."""
-
-    first_mm: float
-    last_mm: float
-    rows: slice
-
-    @classmethod
-    def of(cls, survey: Survey, first_mm: float, last_mm: float) -> "Stretch":
-        first, last = np.searchsorted(survey.wall.z_mm, (first_mm, last_mm))
-        return cls(first_mm, last_mm, slice(int(first), int(last)))
-
-    @property
-    def length_mm(self) -> float:
-        return self.last_mm - self.first_mm
-
-    def extent_of(self, survey: Survey) -> tuple[float, float, float, float]:
-        """Where its rows lie, m and degrees, as imshow wants it."""
-        z = survey.wall.z_mm[self.rows]
-        half = survey.wall.z_step_mm / 2
-        return (z[0] - half) / 1000, (z[-1] + half) / 1000, 360.0, 0.0
+def unwrapped(
+    survey: Survey, whole: Stretch, deviation: Float32Array, scale: float, marks: Sequence[Mark], names: bool
+) -> bytes:
+    """The deviation of the whole pipe, as PNG."""
+    height = height_of(survey, whole)
+    figure, (axes,) = stack([(ABOVE_MM, height)], whole)
+    right = scales(survey, whole.length_mm, height)
+    draw_shape(figure, axes, survey, whole, deviation, scale, marks, height, names=names, right=right)
+    return png(figure)
 
 
-def lay(panels: Sequence[Any], stretch: Stretch) -> None:
-    """One axis for all of them, named at the last."""
-    for axes in panels:
-        axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
-        axes.tick_params(labelbottom=axes is panels[-1])
-    panels[-1].set_xlabel(DISTANCE_LABEL)
-    panels[-1].ticklabel_format(axis="x", useOffset=False)
+def texture(survey: Survey, whole: Stretch, marks: Sequence[Mark], names: bool) -> bytes:
+    """The colour of the whole pipe, as PNG."""
+    height = height_of(survey, whole)
+    figure, (axes,) = stack([(ABOVE_MM, height)], whole)
+    draw_colour(axes, survey, whole, marks, height, names=names, right=scales(survey, whole.length_mm, height))
+    return png(figure)
+
+
+def height_of(survey: Survey, stretch: Stretch) -> float:
+    """Of a map, mm on paper: true to scale where that fits a page."""
+    round_mm = 2 * math.pi * survey.wall.mean_radius_mm
+    return float(np.clip(AXES_MM * round_mm / max(stretch.length_mm, 1.0), *MAP_MM))
+
+
+def scales(survey: Survey, length_mm: float, height_mm: float) -> str:
+    """In words, of a map so long and so high on paper."""
+    round_mm = 2 * math.pi * survey.wall.mean_radius_mm
+    return f"{scale_of(length_mm, AXES_MM)} along, {scale_of(round_mm, height_mm)} round"
+
+
+def draw_shape(
+    figure: Figure,
+    axes: Any,
+    survey: Survey,
+    stretch: Stretch,
+    deviation: Float32Array,
+    scale: float,
+    marks: Sequence[Mark],
+    height_mm: float,
+    *,
+    names: bool = True,
+    right: str = "",
+) -> None:
+    """The deviation of the radius from the mean circle, (Z, A) mm of the whole pipe; its colours end at +-scale."""
+    lay_map(axes, stretch)
+    hidden = False
+    handles = [Patch(label="not seen: in a shadow of the head's parts, or out of its light", **NOT_SEEN)]
+    if stretch.rows.start < stretch.rows.stop:
+        values = np.ma.masked_invalid(farthest(deviation[stretch.rows], ROWS_MAX).T)
+        shown = _lay(axes, survey, stretch, values, cmap=DEVIATION, vmin=-scale, vmax=scale)
+        hidden = _draw_hidden(axes, survey, stretch)
+        bar_beside(figure, axes, shown, "deviation, mm\n− inwards    outwards +")
+    if hidden:
+        handles.append(Patch(color=HIDDEN, label="hidden by a step"))
+    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
+    draw_marks(axes, marks, height_mm, names=names)
+    if not names:
+        name_above(axes, marks)
+    diameter = quoted(2 * survey.wall.mean_radius_mm, MEASURE)
+    title(axes, f"Deviation from the mean circle, Ø {diameter}", handles, height_mm, right=right)
+
+
+def draw_colour(
+    axes: Any,
+    survey: Survey,
+    stretch: Stretch,
+    marks: Sequence[Mark],
+    height_mm: float,
+    *,
+    names: bool = True,
+    right: str = "",
+) -> None:
+    """The wall in its own light."""
+    lay_map(axes, stretch)
+    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
+    if survey.texture is None:
+        axes.text(0.5, 0.5, f"no usable frames in {survey.light}", transform=axes.transAxes, ha="center", fontsize=13)
+    elif stretch.rows.start < stretch.rows.stop:
+        values = calm(mean_colour(survey.texture[stretch.rows]), _cell_mm(survey, stretch)).swapaxes(0, 1)
+        _lay(axes, survey, stretch, values, interpolation="antialiased")
+    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
+    draw_marks(axes, marks, height_mm, names=names)
+    if not names:
+        name_above(axes, marks)
+    handles = [Patch(label="not seen", **NOT_SEEN)]
+    title(axes, f"Wall in {survey.light}, brightness evened out", handles, height_mm, right=right)
+
+
+def cameras(survey: Survey, stretch: Stretch) -> bytes:
+    """Which camera saw each cell, and how well those that did know its radius, as PNG."""
+    wall = survey.wall
+    height_mm = 0.8 * height_of(survey, stretch)
+    figure, both = stack([(ABOVE_MM + 6, height_mm), (10.0, height_mm)], stretch)
+    for axes in both:
+        lay_map(axes, stretch)
+    every = max(-(-len(wall.z_mm) // ROWS_MAX), 1)
+    who = wall.seen_by(len(survey.cameras))[::every]
+    names = [*(f"camera {one} alone" for one in survey.cameras), "more than one"]
+    shades = [*OWN[: len(survey.cameras)], SHARED]
+    colours = ListedColormap(shades[: len(names)])
+    _lay(both[0], survey, stretch, np.ma.masked_equal(who.T, 0), cmap=colours, vmin=0.5, vmax=len(names) + 0.5)
+    _draw_hidden(both[0], survey, stretch)
+    share = survey.seen_by_fraction()
+    patches = [
+        Patch(color=shade, label=f"{name}: {quoted(100 * part, SHARE)}")
+        for shade, name, part in zip(shades, names, share.values(), strict=False)
+    ]
+    none = f"none: {quoted(100 * (1 - survey.seen_fraction), SHARE)}"
+    patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(label=none, **NOT_SEEN)]
+    columns = min(len(patches), LEGEND_COLUMNS)
+    lines = -(-len(patches) // columns)
+    both[0].legend(
+        handles=patches, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, frameon=False, fontsize=8.5
+    )
+    both[0].set_title("Which camera saw the wall", loc="left", fontsize=11, fontweight="bold", pad=16 * (lines + 0.6))
+    known = wall.sigma_mm[np.isfinite(wall.sigma_mm)]
+    top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
+    sigma = np.ma.masked_invalid(wall.sigma_mm[::every].T)
+    shown = _lay(both[1], survey, stretch, sigma, cmap="viridis_r", vmin=0, vmax=top)
+    title(both[1], "How well a point's radius is known, one standard deviation", [], height_mm)
+    bar_beside(figure, both[1], shown, "mm")
+    return png(figure)
 
 
 def lay_map(axes: Any, stretch: Stretch) -> None:
@@ -112,213 +204,17 @@ def title(axes: Any, text: str, handles: Sequence[Patch], height_mm: float, *, r
         )
 
 
-def draw_shape(
-    figure: Figure,
-    axes: Any,
-    survey: Survey,
-    stretch: Stretch,
-    deviation: Float32Array,
-    scale: float,
-    marks: Sequence[Mark],
-    height_mm: float,
-    *,
-    names: bool = True,
-    right: str = "",
-) -> None:
-    """The deviation of the radius from the mean circle, (Z, A) mm of the whole pipe; its colours end at +-scale."""
-    lay_map(axes, stretch)
-    hidden = False
-    handles = [Patch(label="not seen: in a shadow of the head's parts, or out of its light", **NOT_SEEN)]
-    if stretch.rows.start < stretch.rows.stop:
-        extent = stretch.extent_of(survey)
-        shown = axes.imshow(
-            np.ma.masked_invalid(farthest(deviation[stretch.rows], ROWS_MAX).T),
-            cmap=DEVIATION,
-            vmin=-scale,
-            vmax=scale,
-            extent=extent,
-            aspect="auto",
-            interpolation="nearest",
-            zorder=2,
-        )
-        hidden = _draw_hidden(axes, survey, stretch)
-        bar_beside(figure, axes, shown, "deviation, mm\n− inwards    outwards +")
-    if hidden:
-        handles.append(Patch(color=HIDDEN, label="hidden by a step"))
-    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
-    draw_marks(axes, marks, height_mm, names=names)
-    if not names:
-        name_above(axes, marks)
-    diameter = quoted(2 * survey.wall.mean_radius_mm, MEASURE)
-    title(axes, f"Deviation from the mean circle, Ø {diameter}", handles, height_mm, right=right)
-
-
-def draw_colour(
-    axes: Any,
-    survey: Survey,
-    stretch: Stretch,
-    marks: Sequence[Mark],
-    height_mm: float,
-    *,
-    names: bool = True,
-    right: str = "",
-) -> None:
-    """The wall in its own light."""
-    lay_map(axes, stretch)
-    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
-    if survey.texture is None:
-        axes.text(0.5, 0.5, f"no usable frames in {survey.light}", transform=axes.transAxes, ha="center", fontsize=13)
-    elif stretch.rows.start < stretch.rows.stop:
-        axes.imshow(
-            calm(mean_colour(survey.texture[stretch.rows]), _cell_mm(survey, stretch)).swapaxes(0, 1),
-            extent=stretch.extent_of(survey),
-            aspect="auto",
-            interpolation="antialiased",
-            zorder=2,
-        )
-    axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
-    draw_marks(axes, marks, height_mm, names=names)
-    if not names:
-        name_above(axes, marks)
-    handles = [Patch(label="not seen", **NOT_SEEN)]
-    title(axes, f"Wall in {survey.light}, brightness evened out", handles, height_mm, right=right)
-
-
-def draw_cameras(figure: Figure, both: Sequence[Any], survey: Survey, stretch: Stretch, height_mm: float) -> None:
-    """Which camera saw each cell, and how well those that did know its radius."""
-    wall = survey.wall
-    for axes in both:
-        lay_map(axes, stretch)
-    every = max(-(-len(wall.z_mm) // ROWS_MAX), 1)
-    who = wall.seen_by(len(survey.cameras))[::every]
-    names = [*(f"camera {one} alone" for one in survey.cameras), "more than one"]
-    shades = [*OWN[: len(survey.cameras)], SHARED]
-    extent, more = stretch.extent_of(survey), len(names) + 0.5
-    both[0].imshow(
-        np.ma.masked_equal(who.T, 0),
-        cmap=ListedColormap(shades[: len(names)]),
-        vmin=0.5,
-        vmax=more,
-        extent=extent,
-        aspect="auto",
-        interpolation="nearest",
-        zorder=2,
+def _lay(axes: Any, survey: Survey, stretch: Stretch, values: Any, **more: Any) -> Any:
+    """Values or colours, (A, Z), over the stretch."""
+    return axes.imshow(
+        values, extent=stretch.extent_of(survey), aspect="auto", **({"interpolation": "nearest", "zorder": 2} | more)
     )
-    _draw_hidden(both[0], survey, stretch)
-    share = survey.seen_by_fraction()
-    patches = [
-        Patch(color=shade, label=f"{name}: {quoted(100 * part, SHARE)}")
-        for shade, name, part in zip(shades, names, share.values(), strict=False)
-    ]
-    none = f"none: {quoted(100 * (1 - survey.seen_fraction), SHARE)}"
-    patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(label=none, **NOT_SEEN)]
-    columns = min(len(patches), LEGEND_COLUMNS)
-    lines = -(-len(patches) // columns)
-    both[0].legend(
-        handles=patches, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, frameon=False, fontsize=8.5
-    )
-    both[0].set_title("Which camera saw the wall", loc="left", fontsize=11, fontweight="bold", pad=16 * (lines + 0.6))
-    known = wall.sigma_mm[np.isfinite(wall.sigma_mm)]
-    top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
-    shown = both[1].imshow(
-        np.ma.masked_invalid(wall.sigma_mm[::every].T),
-        cmap="viridis_r",
-        vmin=0,
-        vmax=top,
-        extent=extent,
-        aspect="auto",
-        interpolation="nearest",
-        zorder=2,
-    )
-    title(both[1], "How well a point's radius is known, one standard deviation", [], height_mm)
-    bar_beside(figure, both[1], shown, "mm")
-
-
-def draw_diameters(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) -> None:
-    """Smallest, mean and largest diameter of every station."""
-    stations, nominal_mm = survey.stations, survey.nominal_diameter_mm
-    part = _part(survey, stretch)
-    z = stations.z_mm[part] / 1000
-    low, high = stations.diameter_min_mm[part], stations.diameter_max_mm[part]
-    axes.fill_between(z, low, high, color="#9fb8d1", alpha=0.6, lw=0)
-    axes.plot(z, low, color=BUMP_BLUE, lw=1.0, label="smallest")
-    axes.plot(z, high, color=LOSS_RED, lw=1.0, label="largest")
-    axes.plot(z, stations.diameter_mean_mm[part], color=INK, lw=1.8, label="mean")
-    calibrated = f"calibrated pipe {quoted(nominal_mm, MEASURE)}"
-    axes.axhline(nominal_mm, color=FAINT, lw=0.9, ls=(0, (5, 4)), label=calibrated)
-    axes.set_ylabel("diameter, mm")
-    axes.ticklabel_format(axis="y", useOffset=False)
-    _lay_curves(axes, survey, height_mm)
-
-
-def draw_ovality(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) -> None:
-    stations, limit = survey.stations, survey.detection.limits.ovality_percent
-    part = _part(survey, stretch)
-    z = stations.z_mm[part] / 1000
-    axes.plot(
-        z, stations.ovality_percent[part], color=FAINT, lw=1.0, label=f"{OVALITY_NAME} as measured, defects included"
-    )
-    axes.plot(z, stations.shape_ovality_percent[part], color=INK, lw=1.8, label="pipe's shape, defects left out")
-    above = f"listed above {quoted(limit, PERCENT)}"
-    axes.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=above)
-    axes.set_ylabel("ovality, %")
-    axes.set_ylim(bottom=0)
-    _lay_curves(axes, survey, height_mm)
-
-
-def draw_seen(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) -> None:
-    stations = survey.stations
-    part = _part(survey, stretch)
-    seen = 100 * stations.valid_fraction[part]
-    axes.fill_between(stations.z_mm[part] / 1000, seen, step="mid", color="#7d94a8", alpha=0.8, lw=0)
-    axes.set_ylim(0, 100)
-    axes.set_ylabel("seen, %")
-    _lay_curves(axes, survey, height_mm)
-
-
-def _lay_curves(axes: Any, survey: Survey, height_mm: float) -> None:
-    axes.grid(color=INK, alpha=0.10, lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    for first, last, colour in _bands(survey):
-        axes.axvspan(first / 1000, last / 1000, color=colour, alpha=0.09, lw=0)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1 + 3.8 / height_mm),
-            ncols=4,
-            frameon=False,
-            fontsize=8.5,
-            borderaxespad=0.0,
-            borderpad=0.0,
-            columnspacing=1.4,
-        )
-
-
-def _bands(survey: Survey) -> Iterator[tuple[float, float, str]]:
-    for defect in survey.defects:
-        if defect.kind is not Kind.OVALITY:
-            yield *defect.z_range_mm, LOSS_RED if defect.kind is Kind.LOSS else BUMP_BLUE
-    for feature in survey.features:
-        if feature.arc_deg >= ALL_ROUND_DEG:
-            yield *feature.z_range_mm, FEATURE
-
-
-def _part(survey: Survey, stretch: Stretch) -> BoolArray:
-    z = survey.stations.z_mm
-    return np.asarray((z >= stretch.first_mm) & (z <= stretch.last_mm))
 
 
 def _draw_hidden(axes: Any, survey: Survey, stretch: Stretch) -> bool:
     """What a step hides, as one dark grey; whether there is any."""
     hidden = survey.shadowed[stretch.rows][:: max(-(-(stretch.rows.stop - stretch.rows.start) // ROWS_MAX), 1)]
-    axes.imshow(
-        np.ma.masked_equal(hidden.T, False),
-        cmap=ListedColormap([HIDDEN]),
-        extent=stretch.extent_of(survey),
-        aspect="auto",
-        interpolation="nearest",
-        zorder=3,
-    )
+    _lay(axes, survey, stretch, np.ma.masked_equal(hidden.T, False), cmap=ListedColormap([HIDDEN]), zorder=3)
     return bool(hidden.any())
 
 

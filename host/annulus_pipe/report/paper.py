@@ -1,7 +1,8 @@
-"""What all of the report's pictures share: size, colours, type, and how a thing on the wall is marked."""
+"""What all of the report's pictures share: size, colours, type, the axis along the pipe, what a thing is called."""
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 from annulus_pipe.numeric import palette
 from annulus_pipe.numeric.rounding import EXTENT, SHARE, digits
+from annulus_pipe.wall.survey import Survey
 
 DPI = 150
 WIDTH_IN = 11.0
@@ -33,6 +35,7 @@ STYLE = {
 PRINTED_MM, LEFT_MM, AXES_MM = 186.0, 17.0, 150.0
 SHEET_IN = 9.0
 IN_PER_MM = SHEET_IN / PRINTED_MM
+DISTANCE_LABEL = "distance along the pipe, m"
 
 
 def in_style() -> Any:
@@ -83,14 +86,46 @@ def badge(axes: Any, x: float, y: float, name: str, *, colour: str = INK, shape:
     )
 
 
-def stack(panels: Sequence[tuple[float, float]], *, below_mm: float = 12.0) -> tuple[Figure, list[Any]]:
-    """A figure with axes one below the other, each (room above it, its height) in mm on paper."""
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Part of the pipe: what every panel of a picture shows. rows : of the grid."""
+
+    first_mm: float
+    last_mm: float
+    rows: slice
+
+    @classmethod
+    def of(cls, survey: Survey, first_mm: float, last_mm: float) -> "Stretch":
+        first, last = np.searchsorted(survey.wall.z_mm, (first_mm, last_mm))
+        return cls(first_mm, last_mm, slice(int(first), int(last)))
+
+    @property
+    def length_mm(self) -> float:
+        return self.last_mm - self.first_mm
+
+    def extent_of(self, survey: Survey) -> tuple[float, float, float, float]:
+        """Where its rows lie, m and degrees, as imshow wants it."""
+        z = survey.wall.z_mm[self.rows]
+        half = survey.wall.z_step_mm / 2
+        return (z[0] - half) / 1000, (z[-1] + half) / 1000, 360.0, 0.0
+
+
+def stack(
+    panels: Sequence[tuple[float, float]], stretch: Stretch, *, below_mm: float = 12.0
+) -> tuple[Figure, list[Any]]:
+    """A figure with axes one below the other, each (room above it, its height) in mm on paper, all over one stretch of
+    the pipe, which is named at the last."""
     total = sum(above + height for above, height in panels) + below_mm
     figure = Figure(figsize=(SHEET_IN, total * IN_PER_MM), dpi=DPI)
-    out, top = [], total
+    top, out = total, list[Any]()
     for above, height in panels:
         top -= above + height
-        out.append(figure.add_axes((LEFT_MM / PRINTED_MM, top / total, AXES_MM / PRINTED_MM, height / total)))
+        axes = figure.add_axes((LEFT_MM / PRINTED_MM, top / total, AXES_MM / PRINTED_MM, height / total))
+        axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
+        axes.tick_params(labelbottom=len(out) == len(panels) - 1)
+        out.append(axes)
+    out[-1].set_xlabel(DISTANCE_LABEL)
+    out[-1].ticklabel_format(axis="x", useOffset=False)
     return figure, out
 
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from annulus_pipe.report import client, figures
 from annulus_pipe.report.account import Account
-from annulus_pipe.report.course import centreline
 from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper, to_pdf
 from annulus_pipe.report.ply import write_ply
 from annulus_pipe.report.summary import summarize
 from annulus_pipe.untrusted import require_replaceable
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wall.features import FeatureKind
 from annulus_pipe.wall.stations import Stations
 from annulus_pipe.wall.survey import Survey
 
@@ -41,6 +41,7 @@ FILES = (
 )
 WALL_FORMAT = "annulus-wall/1"
 NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
+LINE_STEP_MM = 10.0  # between points of the line in centreline.json
 SUMMARY, WALL = "summary.json", "wall.npz"
 DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the report's; where it is asked for
 
@@ -71,7 +72,7 @@ def write(
         (staging / "texture.png").write_bytes(pictures.texture)
         write_stations(staging / "stations.csv", survey.stations)
         _write_wall(staging / WALL, survey)
-        (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
+        write_centreline(staging / "centreline.json", survey)
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
         summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
@@ -234,6 +235,55 @@ def write_stations(path: Path, stations: Stations) -> None:
         )
         for row in columns:
             writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])
+
+
+def write_centreline(path: Path, survey: Survey) -> None:
+    """centreline.json: pieces of the line, bends, the line as points, the camera's path; mm and degrees.
+
+    Space is the frame of the first straight: x right, y down, z forward. An offset or turn is against the end of the
+    piece before, right and down; `plane_deg` is atan2(down, right) of where a bend turns to.
+    """
+    line = survey.centreline
+    start, end = survey.scanned_mm
+    chainage = np.unique(np.append(np.arange(start, end, LINE_STEP_MM), end))
+    points = line.to_space(np.column_stack([np.zeros((len(chainage), 2)), chainage]))
+    outcome = {
+        "format": "annulus-centreline/1",
+        "frame": "x right, y down, z forward along the first straight, mm",
+        "pipe_radius_mm": round(survey.wall.mean_radius_mm, 4),
+        "straight": line.is_straight,
+        "pieces": [
+            {
+                "start_mm": round(piece.start_mm, 3),
+                "radius_mm": round(piece.radius_mm, 4),
+                "taper_mm_per_mm": round(piece.taper, 6),
+                "offset_mm": [round(v, 4) for v in piece.offset_mm],
+                "turn_deg": [round(math.degrees(v), 4) for v in piece.turn],
+                "curvature_per_m": [round(1e3 * v, 6) for v in piece.curvature],
+            }
+            for piece in (line.pieces if not line.is_straight else ())
+        ],
+        "bends": [
+            {one.name: round(one.value, 4) for one in bend.measures}
+            | {one.k2_name: round(one.k2, 4) for one in bend.measures}
+            for bend in survey.features
+            if bend.kind is FeatureKind.BEND
+        ],
+        "line_mm": [[round(float(v), 3) for v in (s, *p)] for s, p in zip(chainage, points, strict=True)],
+        "camera_path": [[frame, *(round(float(v), 3) for v in place)] for frame, place in _camera_path(survey)],
+    }
+    path.write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
+
+
+def _camera_path(survey: Survey) -> list[tuple[int, np.ndarray[Any, Any]]]:
+    """Frame and place in space of every projector frame with a pose, mm."""
+    out = []
+    for profile in sorted(survey.profiles, key=lambda one: one.frame):
+        if profile.pose is not None:
+            local = profile.pose.to_pipe(np.zeros((1, 3)))
+            in_pipe = survey.centreline.from_head(local, profile.z_mm)
+            out.append((profile.frame, survey.centreline.to_space(in_pipe)[0]))
+    return out
 
 
 def _write_wall(path: Path, survey: Survey) -> None:

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, quoted, span
 from annulus_pipe.report import client, figures
 from annulus_pipe.report.account import Account
-from annulus_pipe.report.course import centreline
 from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper
-from annulus_pipe.report.results import SUMMARY, WALL, staged, write, write_page, write_stations
+from annulus_pipe.report.results import SUMMARY, WALL, staged, write, write_centreline, write_page, write_stations
 from annulus_pipe.report.summary import summarize
 from annulus_pipe.wall.joined import Joined
 from annulus_pipe.wall.survey import Survey
@@ -72,7 +71,7 @@ def write_whole(
         (staging / "texture.png").write_bytes(pictures.texture)
         write_stations(staging / "stations.csv", pipe.stations)
         _write_walls(staging / WALL, [folder / WALL for folder in folders])
-        (staging / "centreline.json").write_text(json.dumps(centreline(pipe), indent=1) + "\n", encoding="utf-8")
+        write_centreline(staging / "centreline.json", pipe)
         summary = summarize(pipe, account, 1e3 * (time.perf_counter() - started))
         summary["windows"] = [_window_summary(folder) for folder in folders]
         more = client.values(pipe, account) | {"windows": [_row(one) for one in summary["windows"]]}

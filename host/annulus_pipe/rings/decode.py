@@ -27,7 +27,8 @@ NONE = -1  # a slit that is no ring, or could be more than one
 LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
 PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay
-LEARNT_FROM, BRIGHT = 500, 0.98  # stripes that tell a frame's colours, and the part of them below its bright level
+LEARNT_FROM = 500  # stripes that tell a frame's colours
+BRIGHT = 0.98  # the part of them below a frame's bright level
 MARGIN = 0.1  # a label is given only if every runner-up reading of the line is worse by this
 
 

@@ -26,13 +26,16 @@ from annulus_pipe.rings.slits import Slits
 # Guarded by test_lines (place, gaps, reflections, noise) as a whole; not tried one by one.
 PER_LINE = 12  # ridges kept of one polar line, the strongest
 FIRST_SCALE_PX = 1.5  # of the look that tells how wide lines are
-SCALE_LEAST_PX, SCALE_MOST_PX = 1.0, 8.0
+SCALE_LEAST_PX = 1.0  # of the look that measures them, standard deviation: finer, pixels show
+SCALE_MOST_PX = 8.0  # .. and coarser, neighbouring lines run together
 LEAST_PART = 0.2  # of the frame's usual line: what is fainter is a reflection or dirt
 LEAST_SIGMA = 5.0  # times what noise makes of a ridge
 NOISE_LEAST = 0.3  # grey levels: of rounding alone
-SKIP, STRONG = 0.5, 2.0  # prices: of leaving one out, and against that of full strength; ..
+SKIP = 0.5  # price of leaving a ridge out ..
+STRONG = 2.0  # .. more of one of full strength; ..
 PLACE = 6.0  # .. of a wall that is off by the whole tolerance
-MOSAIC_PX, DRAWN_OF_WIDTH = 0.05, 0.01  # px; of a line's width: standard deviations, see `line_bias`
+MOSAIC_PX = 0.05  # standard deviation, see `line_bias`
+DRAWN_OF_WIDTH = 0.01  # of a line's width, standard deviation, see there
 MARGIN = 0.2  # a name is given only if every other reading is worse by this
 
 

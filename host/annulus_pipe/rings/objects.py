@@ -21,12 +21,11 @@ from annulus_pipe.rings.decode import NONE
 INWARDS_OF_RADIUS = (
     0.04  # of the radius: an object stands farther before the wall; shallower ones may be the wall's own
 )
-JUMP_OF_RADIUS, JUMP_PX = (
-    0.02,
-    2.0,
-)  # of the radius, and pixels' worth of it: from a direction to the next, at its ends ..
+JUMP_OF_RADIUS = 0.02  # of the radius: from a direction to the next, at its ends ..
+JUMP_PX = 2.0  # .. and at least so many pixels' worth of it ..
 STEEP = 1.5  # .. and so steep: a dent of 15 mm has 1.3 where it is only 16 mm wide ..
-GAP, STEEP_UNSEEN = 2, 0.75  # .. or half of it over more directions than so many, where nobody saw the flank
+GAP = 2  # .. or over more directions than so many, where nobody saw the flank ..
+STEEP_UNSEEN = 0.75  # .. half as steep
 WIDEST = 1 / 3  # of the round: more is no object in a ring
 SEEN_LEAST = 0.5  # of the round: with less an oval is not told from a shift
 

@@ -18,11 +18,13 @@ from annulus_pipe.rings.slits import Slits
 
 # Measured by topic uncertainty: true radii inside k = 2, which a slit believed wrongly leaves; and by the wrong and
 # read points of topic colour, whose frames have rods' shadows.
-NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
+NARROW = 0.7  # of the ring's width around there: narrower, a slit is half covered ..
+WIDE = 1.35  # .. and wider, part of a shadow ..
 WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
 WIDTH_EVERY = 4  # points: what the ring's width is learnt from
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
-SHADE, SHADE_REACH = 0.5, 2  # a slit has at least this part of its ring's light so many directions to the side
+SHADE = 0.5  # a slit has at least this part of its ring's light ..
+SHADE_REACH = 2  # .. so many directions to the side
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring
 

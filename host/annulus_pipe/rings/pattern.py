@@ -21,7 +21,8 @@ STRIPE_PX = 5.0  # narrower, a stripe's colour is lost in its slits' blur
 MARGIN_PX = 10.0  # that the outermost stripe keeps from the image's edge
 CLEAR = 1.03  # of the limit angles: room for tolerances
 REACH = 3.0  # pipe radii ahead that the innermost stripe falls at when not told
-BLACK, STRIPE = 0.02, {"R": (0.9, 0.04, 0.02), "G": (0.04, 0.8, 0.1), "B": (0.02, 0.08, 0.75)}  # of the preview
+BLACK = 0.02  # of full light, of the preview's slits
+STRIPE = {"R": (0.9, 0.04, 0.02), "G": (0.04, 0.8, 0.1), "B": (0.02, 0.08, 0.75)}  # .. and its stripes
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,17 @@ from annulus_pipe.vocabulary import AnnulusError
 # What a line keeps (ACROSS, WEAK, RAISED_MOST) is measured by topics uncertainty and colour; what is left out unseen
 # (PROBE, LIT) by the points that colour counts; RAY_STEP_PX by test_slits; the search by test_slits, few_rings, mirror.
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
-PROBE_LINES, PROBE_PX = 24, 6  # lines, samples: how coarse the first look at a frame is
-LIT, LIT_MARGIN = 0.02, 12  # light is more than this part of the bright level; samples kept around it
-WEAK, RAISED_MOST = 2.5, 4.0  # a channel so many times weaker than the strongest is raised, by so much at most
+PROBE_LINES = 24  # how coarse the first look at a frame is: every so many lines ..
+PROBE_PX = 6  # .. and samples
+LIT = 0.02  # light is more than this part of the bright level
+LIT_MARGIN = 12  # samples kept around it
+WEAK = 2.5  # a channel so many times weaker than the strongest is raised ..
+RAISED_MOST = 4.0  # .. by so much at most: noise is raised with it
 RAY_STEP_PX = 4  # rays are tabulated this often: linear interpolation between is good to 5e-6 rad
 TILT = math.radians(4.0)  # how far the head may lean and ..
 SHIFT = 0.1  # .. stand off the pipe's axis (of the radius) for its rings to be searched
-DENT, BULGE = 0.75, 1.3  # and how far the wall may be from its radius
+DENT = 0.75  # of the radius: how far inside the wall may be ..
+BULGE = 1.3  # .. and outside
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,11 +24,13 @@ from annulus_pipe.rings.polar import PolarGrid, Unrolled
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
 FALL = 0.72  # a slit is darker than this part of the light before it and after it
 SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one
-HALFWAY, LEVEL = 0.5, 0.4  # an edge ends where that part of the light is back and the slope is down to that part
-CLEAR, BESIDE = 5, 8  # samples from an edge where its blur has ended, and over how many more light's slope is read
-STEEPEST, BLUR_MOST = 4.0, 9.0  # a power of the distance from the centre: light that changes faster is another edge
+HALFWAY = 0.5  # an edge ends where this part of the light is back ..
+LEVEL = 0.4  # .. and the slope is down to this part of its steepest
+CLEAR = 5  # samples from an edge, where its blur has ended
+BESIDE = 8  # .. and over how many more the light's slope is read
+STEEPEST = 4.0  # a power of the distance from the centre: light that changes faster is another edge
+BLUR_MOST = 9.0  # samples: no edge is taken for softer
 FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
-WEAK, NOISY = 2.5, 0.015  # a channel so many times weaker than the strongest is raised; of that one's light in noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

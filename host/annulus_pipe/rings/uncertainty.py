@@ -21,7 +21,8 @@ UNKNOWN_PX = 0.1
 BIAS_PX = 0.0115  # an edge's place in a demosaiced image is within a fiftieth of a pixel, evenly: 0.02 / sqrt 3 ..
 CLIPPED_PX = 0.04  # .. and within 0.07 where the light beside it is more than the camera can tell: half an edge is cut
 DRAWN_PX = 0.5  # no edge is drawn out of the pixel it lies in: a ring farther off lies on another wall, a groove
-BLUR_LEAST, BLUR_MOST = 0.5, 4.0  # of the ring's usual edge, what an edge counts for
+BLUR_LEAST = 0.5  # of the ring's usual edge, what a sharper edge counts for at least ..
+BLUR_MOST = 4.0  # .. and a softer one at most
 
 
 def point_sigma(

@@ -33,7 +33,8 @@ BIAS_STEP_MM = 1e-3
 # a pixel, which no residual shows. So large that twice the sigma holds in the bends of two ray tracers, one of them
 # drawn blind (`bench scenes`, and its --blind 2611); half of it held in one only.
 CHANGES_OF_SCATTER = 1.4
-ROLL_SIGMA, ROLL_HELD = 0.01, 1e-5  # radians; of a head whose roll a sensor gave, and of one that has none
+ROLL_SIGMA = 0.01  # radians; of a head whose roll a sensor gave ..
+ROLL_HELD = 1e-5  # .. and of one that has none: rings cannot tell it, so it stays
 UNIT_LEAST = 0.3  # of what points say they may be off: what a ring's points have in common does not scatter
 APART = 0.4  # of the way between two starts: as far as one step may go ..
 APART_LEAST_MM = 1.0  # .. and how near they may come

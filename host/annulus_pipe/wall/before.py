@@ -32,14 +32,17 @@ from annulus_pipe.wall.unjudged import Unjudged
 
 # Held both ways by tests/regression/cable_across_the_bore_unsaid.
 SECTORS = 60  # round the clock
-INNERMOST, OUTERMOST, SHELL = 0.34, 0.84, 0.04  # of the radius: nearer to the wall are beads, rims and bumps
+INNERMOST = 0.34  # of the radius: where shells begin that are asked for an object: farther inside is the head
+OUTERMOST = 0.84  # of the radius, where they end: nearer to the wall are beads, rims and bumps
+SHELL = 0.04  # of the radius, from one shell to the next
 CELL_OF_RADIUS = 0.05  # along the pipe: half of a thin cable's thickness
 STOPPED = 0.8  # part of the light through a cell that was stopped ..
 LEAST = 2.0  # .. of so many looks: a stray one is a misread stripe
 INSIDE = 0.1  # of the radius: what came back from farther inside did not come from the wall
 # of an object: cables and hoses take up 250 to 600; a tee that reaches far in has 100, misread stripes leave 30
 CELLS_LEAST = 160
-RINGS_LEAST, FRAMES_LEAST = 4, 5  # a ring that fails is no object, nor is one that is lost for a few frames
+RINGS_LEAST = 4  # a ring that fails is no object ..
+FRAMES_LEAST = 5  # .. nor is one that is lost for a few frames
 BEYOND = 0.25  # of the radius: so far from its places that were seen a ring's line is believed
 SPENT = 0.1  # of a sector's light that must be gone before a look counts for the object's frames
 

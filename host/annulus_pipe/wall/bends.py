@@ -15,7 +15,8 @@ from annulus_pipe.wall.axis import Axis, Begins
 from annulus_pipe.wall.features import Feature, FeatureKind, Measure
 
 # What bends with known truth begin elsewhere than the adjustment says, and what their plane is off.
-UNMODELLED_MM, UNMODELLED_TURN = 0.2, 0.002  # mm; radians
+UNMODELLED_MM = 0.2  # of where a bend begins, k = 1: a real one does not begin at once, as the model's does
+UNMODELLED_TURN = 0.002  # radians, k = 1: of the plane it lies in, likewise
 REDUCER = 0.05  # of the radius: what changes by more within a diameter is a reducer, a fitting; less is a pipe's taper
 SURE = 2.0  # times k = 2, as `axis` asks of a joint: what turns or narrows less surely has no name
 

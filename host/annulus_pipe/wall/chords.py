@@ -18,12 +18,14 @@ from annulus_pipe.wall.shape import fit_shape, harmonics, spread
 DOWN_DEG = 180.0  # clock angle
 HIDDEN_DEG = 80.0  # each side of the bottom: nothing there says at first where the wall is
 LOOKED_DEG = 100.0  # each side of the bottom: where a level is looked for
-LEAST_HALF_DEG, MOST_HALF_DEG = 12.0, 84.0  # half of a level's arc; a chord of 12 degrees is 0.02 of the radius deep
+LEAST_HALF_DEG = 12.0  # half of a level's arc: such a chord is 0.02 of the radius deep
+MOST_HALF_DEG = 84.0  # .. at most: a pipe nearly half full
 LEAST_OF_RADIUS = 0.008  # of the radius: half of what the middle of the least chord stands inwards, through water
 BESIDE_DEG = 15.0  # of wall beside a level's corners that is judged with it
 CAP_OF_RADIUS = 0.15  # of the radius: a cell that is farther off than this is just off
 AS_IT_LOOKS = (1.0, 0.8, 0.6)  # parts of its depth that what lies below a level may seem cut off: less, through water
-EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the wall: each slab's, and the median's
+EXPLAINED = 0.65  # part of what a slab departs from the wall, that its chord explains: each slab's ..
+EXPLAINED_USUAL = 0.8  # .. and the median slab's
 SEEN_LEAST = 0.2  # part of a level's arc, each side of its middle, that has cells: deep down no ring is believed
 LENGTH_OF_RADIUS = 1.0  # of the radius: a shorter one is a heap, a bump or the rim of a tee
 STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near

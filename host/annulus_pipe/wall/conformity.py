@@ -30,7 +30,9 @@ RULE = (
     "uncertainty with k = 2. Conforms: the measured value lies inside the tolerance limit by more than U. Does not "
     "conform: it lies at the limit or beyond it by at least U. Between the two: undecided within the uncertainty."
 )
-SEVERITY_MAX, GRADES_MAX, TITLE_MAX = 5, 24, 200
+SEVERITY_MAX = 5  # classes of severity, of whoever names limits
+GRADES_MAX = 24  # entries of one kind in limits.toml; bounds what a stranger's file costs
+TITLE_MAX = 200  # characters of its title, for one line of the page
 Group = Literal["defect", "undecided", "feature", "pipe"]
 
 

@@ -20,10 +20,8 @@ AGREE_OF_RADIUS = 0.01  # of the radius: two points this near in radius see the 
 AGREE_LEAST = 0.1  # .. and where less than this part of the other frames' points do, by weight, though ..
 OTHERS_NEEDED = 3  # .. there are so many, the point is contradicted: a step's edge has both sides about it
 SURE = 0.1  # of that radius difference: a point known better than this votes no louder
-SECTORS, MOST = (
-    12,
-    0.5,
-)  # a ring's part in so many round the pipe is wrong as a whole where more than this part of it is
+SECTORS = 12  # round the pipe: a ring's part in one of them ..
+MOST = 0.5  # .. is wrong as a whole where more than this part of its points is
 
 
 def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:

@@ -30,7 +30,8 @@ ALIKE = 0.5  # of the usual scale, as a square: standard deviation of the scale 
 EDGE_OF_RADIUS = 0.04  # of the radius, along and round: two pixels of the smallest pictures, which a slit is drawn over
 EDGE_PART = 0.5  # of what the wall changes by within that: evenly from side to side would be 0.58, some are on theirs
 EDGE_NOISE = 5.0  # times a cell's noise: what cells of an even wall differ by at most, among so many
-OFTEN, NORMAL = 95.45, 2.0  # per cent of differences that are less, and in how many sigma of a normal error those lie
+OFTEN = 95.45  # per cent of differences that are less ..
+NORMAL = 2.0  # .. than so many sigma, where errors are normal
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,10 @@ ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round ..
 MOST_ROUND_DEG = 270.0  # .. or one longer than this with sound wall in no more directions than that leaves
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 # A level is a chord: its depth says how wide it is. Of what its arc was seen as, corners lost: nine levels of the blind
-# bench 0.88 to 0.96, domes at the bottom 0.59 to 0.79, dents from 1.25 on. Length of the radius: levels from 0.7 on.
-CHORD_LEAST, CHORD_MOST, CHORD_LONG = 0.83, 1.08, 0.5
+# bench 0.88 to 0.96.
+CHORD_LEAST = 0.83  # domes at the bottom reach 0.59 to 0.79
+CHORD_MOST = 1.08  # dents begin at 1.25
+CHORD_LONG = 0.5  # of the radius: levels are 0.7 long and more
 # What has a name stands by itself in sound wall, and its outline was seen. Set on blind seeds 1 and 3: of 200 losses
 # and bumps that were there six had less sound wall round the pipe, all pieces of grooves, and of 29 that were joints,
 # gaps or nothing 16; the outlines of all bumps but one were seen over more than half, of two tees' rims over 0.36.

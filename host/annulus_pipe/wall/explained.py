@@ -21,14 +21,18 @@ from annulus_pipe.wall.offsets import TERMS, Observations, Offsets
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
 TRANSLUCENT = ((0.0, 0.5), (0.1, 0.15), (0.2, 0.2), (0.4, 0.15))
 WALL_ALIKE = 0.8  # of the variance of a wall that was measured, what its colours have in common
-SHIFT_MEAN, SHIFT_LEAST_MM = 0.5, 0.005
-GREY, YELLOW = 0.05, 0.3  # of the mean, how far a colour departs from it: as likely one as the other
+SHIFT_MEAN = 0.5  # of what light in the wall moves edges by: how well the mean of the colours is known beforehand
+SHIFT_LEAST_MM = 0.005  # .. and each colour beside it, at least
+GREY = 0.05  # of the mean, how far a colour of a grey wall departs from it ..
+YELLOW = 0.3  # .. and of a yellow one: as likely one as the other
 # How far a ring's edges may be drawn evenly, and by two waves, each as likely beforehand: what colours and widths do to
 # them is even, a lens and a mosaic draw them by waves.
-EDGES_PX, EDGES_TWOFOLD_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (0.01, 0.03, 0.1)
+EDGES_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+EDGES_TWOFOLD_PX = (0.01, 0.03, 0.1)
 # Of the outermost ring's angle, and of the focal length there: by how much slide and lens are bent otherwise than the
 # calibration has it, growing as a square. Standard deviations; a calibration in a pipe reaches 1e-4.
-SLIDE_BOW, LENS_BOW = 2e-4, 2e-4
+SLIDE_BOW = 2e-4
+LENS_BOW = 2e-4
 LAWS = 2  # rounds of the linearised answer: the second one's change is below a hundredth of sigma at 0.3 %
 NONE = np.zeros(7)
 

@@ -11,7 +11,8 @@ from annulus_pipe.wall.indications import Indication, Kind, Scale, label_around
 
 IntArray = NDArray[np.intp]
 # Held by test_extent.py (both ways) and the lengths of the benchmark `scenes`.
-SCRAP, SCRAP_SOUND = 0.15, 0.35  # parts: of the largest of its connected parts; of what lies between, sound at least
+SCRAP = 0.15  # of the largest of a place's connected parts: a smaller one is a scrap of it, and is left out where ..
+SCRAP_SOUND = 0.35  # .. more than this part of what lies between is sound
 RIM_COLUMNS = 4  # each side: a rim is as straight as the middle of its neighbours
 
 

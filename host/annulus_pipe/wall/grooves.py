@@ -14,7 +14,8 @@ from annulus_pipe.wall.points import ROW_MM, SECTORS, Points
 
 # Held together by test_grooves.py and the benchmark topics scenes (s11a-groove) and stereo (stereo-a).
 ASIDE_OF_RADIUS = 0.12  # before and behind a groove: sound wall, and a shape that the groove does not drag about
-SOUND_OF_DEPTH, HALF = 0.25, 0.5  # of the depth: less is the wall before it; half-way up is the far rim
+SOUND_OF_DEPTH = 0.25  # of the depth: less is the wall before it
+HALF = 0.5  # of the depth: half-way up is the far rim
 WHOLE = 0.8  # of half a slit: so far inside its middle lies, when hardly any of it falls on a rim
 WITHIN = 0.8  # of a groove's arc: nearer its ends slits are half on them
 SEEN_ALONG = 0.25  # part of the sectors in which the floor must be seen

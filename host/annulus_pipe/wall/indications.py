@@ -22,8 +22,10 @@ LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
 # BAND_OVERLAP, BAND_SOUND: unguarded; the other four have not been tried. Of the limits below test_grid.py notices
 # seed_noise (upwards), seed_of_radius and observations (both ways); the rest it holds as a whole, by known defects.
-BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # parts: what makes two places one band: common stations, least sound wall between
-BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
+BAND_OVERLAP = 0.6  # part of the longer one's stations that two places have in common, to be one band ..
+BAND_SOUND = 0.35  # .. if less than this part of what lies between is sound wall
+BAND_EDGES = 3.5  # edge blurs: what a band is long at most ..
+BAND_ASPECT = 4.0  # .. and so many times as wide
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 OBSERVATION_POINTS = 3  # points of one ring in one frame on a place, for it to be an observation of it
 PLATEAU_NOISE = 4.0  # standard deviations of a cell: twice what its 98th percentile lies above a floor

@@ -38,11 +38,13 @@ OFF_COLUMNS = 12  # of a row: so many depart, and it is not sound
 ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead all round
 SEEN = 0.3  # part of the circle, for a row to say anything
 ASIDE_OF_RADIUS = 0.08  # before and behind a gap: sound wall
-GAP_SECTORS, GAP_POINTS = 12, 3  # each with its own ends, and points of a row of one that say something
+GAP_SECTORS = 12  # of the circle, each with its own ends
+GAP_POINTS = 3  # of a row of one, that say something
 # Of half a slit. One that half passes an edge may still be bright enough, so that an end loses between nothing and all
 # of it, and both ends alike. Six gaps of the blind seeds 1 to 5 were 0.036 of the radius short when all was taken off;
 # guarded by test_gaps.py, where all of it is lost, and test_gaps_never_flattered.py.
-SLIT_LOST, SLIT_KNOWN = 0.8, 0.7  # the mean, at either end, and the standard deviation of both together
+SLIT_LOST = 0.8  # of half a slit, the mean, at either end
+SLIT_KNOWN = 0.7  # of half a slit, the standard deviation of both together
 ROUND_LEAST = 0.6  # of the circle, for a row to say where the pipe's axis is: as `axis` asks before it begins a piece
 BESIDE_OF_RADIUS = 1.0  # of the radius: so far beside a joint the line is held against the wall ..
 BESIDE_LEAST = 0.15  # .. and so much of that must be sound: over less an axis turns as the errors of its rings will

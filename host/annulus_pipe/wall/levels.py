@@ -30,11 +30,13 @@ from annulus_pipe.wall.refraction import surface_heights
 SLAB_OF_RADIUS = 0.1  # of the radius: length of pipe in which a level is looked for
 SLABS_MOST = 20_000  # bounds time and memory on very long scans
 COLUMN_DEG = 2.0
-OFF_DEG, OFF_ROLL_KNOWN_DEG = 24.0, 6.0  # a level's middle off the bottom: a head turns, and sensors err
+OFF_DEG = 24.0  # a level's middle off the bottom at most: a head turns ..
+OFF_ROLL_KNOWN_DEG = 6.0  # .. and where its roll is known the sensor errs
 MARGIN_OF_RADIUS = 0.01  # of the radius: this far above the level there is no surface left
 FLAT_OF_RADIUS = 0.01  # of the radius: half of the range of heights, 5 to 95 %, of what is called flat
 UNEVEN_MOST = 0.4  # of its depth: what is more uneven is no level
-MIDDLE, CORNER_DEG = 0.75, 8.0  # part of a level's arc that it is measured on, or all but its corners, partly wall
+MIDDLE = 0.75  # part of a level's arc that it is measured on ..
+CORNER_DEG = 8.0  # .. or all but its corners, which are partly wall, where that is more
 POINTS_MOST = 120  # of a frame and ring that a level is measured with
 LEAN_MOST_DEG = 6.0  # of a surface against the chord's own middle
 CELL_DEG = 4.0  # of the clock, by a slab's length: where rings see one piece of surface

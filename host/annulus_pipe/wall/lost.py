@@ -8,7 +8,8 @@ from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.profile import Profile
 
 RING_LOST = "ring lost"  # kind of a finding
-OBJECT, OBJECT_POINTS = "object", 20  # kind of a finding, and of `rejected`; points of a frame that are more than dirt
+OBJECT = "object"  # kind of a finding, and of `rejected`
+OBJECT_POINTS = 20  # of a frame: more than dirt
 # Parts of what the middle one of the rings gives; an image whose edge cuts the outermost ring leaves it two thirds.
 # Guarded both ways by test_lost.py.
 FEW = 0.5  # of the points over the scan: a ring with fewer is lost ..

@@ -18,9 +18,12 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.wall.profile import Profile
 
-SECTORS, SECTOR_POINTS = 24, 5  # of a ring's turn, an observation each; least points of one
-NODE_OF_RADIUS, WAVES = 0.2, 3  # along the pipe, and round it: how the wall may go from node to node
-WALL_PART, LEAN = 0.05, 0.1  # of the radius, radians: how far wall and heads may be from where they are taken to be
+SECTORS = 24  # of a ring's turn, an observation each ..
+SECTOR_POINTS = 5  # .. that has so many points at least
+NODE_OF_RADIUS = 0.2  # of the radius, along the pipe, from one node of the wall to the next
+WAVES = 3  # round the pipe, that the wall has at each node
+WALL_PART = 0.05  # of the radius: how far the wall may be from where it is taken to be
+LEAN = 0.1  # radians, and of the radius: how far heads may be, likewise
 BLOCK = 4  # observations beside one another, whose mean scatters by more than theirs do: sectors share pixels
 NOISE_LEAST_MM = 0.004
 LOOSE = 2.5  # times the usual residual: from there on an observation counts less, a defect's hardly at all

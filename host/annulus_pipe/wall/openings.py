@@ -35,19 +35,23 @@ SMALLER = 1.0, 0.65, 0.5  # parts of its patch, not of the radius: a rim's flank
 ABOUT = 0.4  # what is looked at about an opening, beyond twice its radius
 LEVEL = 0.02  # this near to a surface is that surface (1.5 mm in a 6-inch pipe)
 CELL = 0.026  # length of a cell of places of passage along the pipe
-MISSING, LOOKS_LEAST = 0.75, 3  # part of the looks that found no wall, and how many, make a cell one of a patch
+MISSING = 0.75  # part of the looks that found no wall, that makes a cell one of a patch ..
+LOOKS_LEAST = 3  # .. if there were so many looks
 FULL = 0.25  # part of the box about a patch that it fills: a disc fills three quarters, a crescent of it a half
 ROD = 0.2  # over so much that nobody looked at, a rod's shadow, a patch goes on
-SIZE_LEAST, SIZE_MOST = 0.12, 1.6  # of a patch and of a diameter: less is a slit's width, more is no opening but an end
+SIZE_LEAST = 0.12  # of a patch and of a diameter: less is a slit's width
+SIZE_MOST = 1.6  # .. and more is no opening but an end
 GATES = 0.08, 0.06, 0.04, 0.03  # how far from the circle a face may lie, in one round of the fit after the other
 SLIT = 0.04  # half a slit's width on the wall: how early or late rings may end, standard deviation
 RIM_WIDTH = 0.15  # of a tee's rim, at most
 RIMS = 0.04, 0.08, 0.12  # widths of a rim, to start from
 RIM_LEAST = 0.03  # of a rim's height, to start from it: lower ones hide too little to lead a patch astray
-EDGE, FACE = 0.013, 0.0013  # standard deviations: where a ring ends; of a face, at least
+EDGE = 0.013  # standard deviation: where a ring ends
+FACE = 0.0013  # standard deviation of a face, at least
 # Standard deviations of what all of a circle, or a rim, have in common. Blind seeds 1 to 6: k = 2 of 36 diameters held
 # for 89 % without the first; the rims of 17 tees were off by 0.0058 rms.
-CIRCLE, RIM = 0.003, 0.006  # of a circle's radius; of a rim's height
+CIRCLE = 0.003  # of a circle's radius
+RIM = 0.006  # of a rim's height
 ROUND = 0.01  # a face that is farther from its circle is none, rms
 OPEN_LEAST = 0.6  # of the looks inside, part that found nothing
 FLOOR_MOST = 0.05  # points inside for each look inside: with more it has a floor ..
@@ -58,7 +62,8 @@ SOUND_LEAST = 0.6  # of the looks about it, part that found wall, in three of fo
 # Only its circle shows that it is a branch: it is listed as one where the circle is known. Of nine branches of the
 # blind seeds 1 to 6 the diameter's k = 2 was 0.03 to 0.07 of it, of three that were bumps and pockets 0.09, 0.15, 0.22.
 CIRCLE_KNOWN = 0.08  # part of its diameter
-FACE_LOOKS, FACE_ARC_DEG = 2, 60.0  # what makes a face: looks that saw it, arc of the circle it covers
+FACE_LOOKS = 2  # what makes a face: so many looks that saw it ..
+FACE_ARC_DEG = 60.0  # .. over so much of the circle
 RIM_SIDES = 0.5  # part of the sides at which a rim stands, for a tee
 CLOCK_DEG: FloatArray = (np.arange(COLUMNS, dtype=np.float64) + 0.5) * (360.0 / COLUMNS)
 SIDES = 8  # a circle is looked at in so many parts

@@ -22,7 +22,10 @@ PARTS: Mapping[str, Mapping[str, float]] = {"lens": LENSES, "tube": TUBES, "slid
 KNOWN = 0.5  # of a coefficient: how well a table's is that of one head
 # Standard deviations, parts of one. Without a temperature: 15 K either way of plastic and acrylic, a film in a season's
 # humidity, a lens that was touched. With it: what is no matter of warmth. Guarded by test_scale.py, topic absolute.
-FOCAL, SLIDE, TUBE, ANAMORPHIC = 0.0015, 0.0015, 0.0025, 0.001
+FOCAL = 0.0015  # of the lens: focal length
+SLIDE = 0.0015  # of the rings' angles
+TUBE = 0.0025  # of the way from slide to camera
+ANAMORPHIC = 0.001  # of a lens that draws one axis longer than the other; no matter of warmth
 STILL = {"lens": 0.0003, "slide": 0.0005, "tube": 0.0005}
 CELSIUS = (-60.0, 120.0)
 KELVIN_MOST = 40.0  # warmer or colder than that since its calibration no head is: a sensor that is stuck

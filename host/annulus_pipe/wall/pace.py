@@ -27,18 +27,23 @@ from annulus_pipe.wall.texture import LedFrame, pixels_of, pose_at
 
 # Set on the drawn pipes of the blind bench, even seeds, by physics; guarded by test_pace.py as a whole.
 ROW = 0.004  # of the radius: a strip's rows, finer than what a pixel shows of a near wall
-NEAREST, FARTHEST = 0.7, 2.0  # of the radius ahead of the camera: the strip; farther a pixel is too long
-COLUMNS, SECTORS = 360, 12  # round the clock; a head's lean moves marks one way on one side, the other way on the other
+NEAREST = 0.7  # of the radius ahead of the camera: where the strip begins ..
+FARTHEST = 2.0  # .. and ends: farther a pixel is too long
+COLUMNS = 360  # of the strip, round the clock
+SECTORS = 12  # .. each with its shift: a head's lean moves marks one way on one side, the other way on the other
 REACH = 0.07  # of the radius: shifts that are tried, 0.16 of the usual distance between two LED frames
-SHARP, SMOOTH = (1.5, 0.7), (10.0, 4.0)  # rows, columns: what is finer is noise, what is coarser is light
+SHARP = (1.5, 0.7)  # rows, columns: what is finer is noise
+SMOOTH = (10.0, 4.0)  # .. and what is coarser is light
 DARK = 4.0  # grey levels: beneath is no light
 FAR_LEAST = 0.15  # of the radius: frames nearer to one another tell no distance
 ALIKE = 0.35  # correlation: less is chance
-SECTORS_LEAST, PAIRS_LEAST = 8, 4  # of a pair; of a scan
+SECTORS_LEAST = 8  # of a pair of frames, that agree on a shift: two thirds of the round
+PAIRS_LEAST = 4  # of a scan: fewer have no scatter to be judged by
 PIXELS_LEAST = 500  # of a sector's overlap
 PAIRS_MOST = 60  # the first ones; bounds what a long scan costs
 SCATTER_LEAST = 0.004  # part of the distance: fewer pairs than tell a scatter may agree by chance
-OFF_LEAST, SURE = 0.02, 4.0  # part of the distance, and standard deviations, from which on the odometer is contradicted
+OFF_LEAST = 0.02  # part of the distance: off by more, the odometer is contradicted, if that is ..
+SURE = 4.0  # .. so many standard deviations
 
 ODOMETER = "odometer"  # kind of a finding
 

@@ -19,10 +19,12 @@ from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import pixels_of, pose_at
 
-NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.3, 4.0  # of the radius: how far ahead of the head a place is looked for
+NEAREST_OF_RADIUS = 0.3  # of the radius: how far ahead of the head a place is looked for, at least
+FARTHEST_OF_RADIUS = 4.0  # .. and at most
 INSIDE = 0.98  # part of the outline in the picture, or the most there is where no frame has so much ..
 INSIDE_LEAST = 0.5  # .. but not less
-SIDE_MAX_PX, SIDE_MIN_PX = 560, 160  # of a crop: what is larger is made smaller; what is smaller shows more around
+SIDE_MAX_PX = 560  # of a crop: what is larger is made smaller
+SIDE_MIN_PX = 160  # .. and what is smaller shows more around
 MARGIN = 0.35  # of the outline's larger side, left free about it
 CLOSED_MM = 6.0  # half of a gap in the outline that is a shadow's and not the defect's
 TICK_DEG = 15.0  # between clock ticks, half an hour

@@ -10,7 +10,8 @@ from annulus_pipe import untrusted
 
 SECTIONS_MAX = 8
 SPAN = re.compile(r"(-?[0-9]{1,7}(?:\.[0-9]{1,6})?):(-?[0-9]{1,7}(?:\.[0-9]{1,6})?)")  # mm, of the command line
-LEAST_MM, FARTHEST_MM = 5.0, 1e7  # of a section's length, and of where it may lie
+LEAST_MM = 5.0  # of a section's length: shorter, no station lies in it
+FARTHEST_MM = 1e7  # where it may lie: 10 km
 DIAMETER_MM = (5.0, 10_000.0)
 K2_PART = 0.05  # of the diameter: what is known no better is no reference
 

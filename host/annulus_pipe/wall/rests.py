@@ -18,7 +18,8 @@ from annulus_pipe.wall.profile import Profile
 # Held by tests/regression/rest_counted_as_looks.
 PLACE_OF_RADIUS = 0.005  # along the pipe: nearer to each other is one place; rings lie fifty times as far apart
 TURN_DEG = 1.0  # a head that has turned more sees other parts of the wall between its rods
-SECTORS, NEW = 24, 2  # of a ring; so many of them that no frame kept has shown are something new
+SECTORS = 24  # of a ring
+NEW = 2  # of them: so many that no frame kept has shown are something new
 RESTS_LEAST = 3  # frames of one place: two are a slow head's
 
 

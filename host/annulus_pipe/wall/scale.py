@@ -28,9 +28,11 @@ from annulus_pipe.wall.pose import fit_pose
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.reference import ReferenceSection
 
-FRAMES_MOST, OF_SECTION = 72, 24  # of a scan, whose offsets say what all say, and of a section: bounds the time
+FRAMES_MOST = 72  # of a scan, whose offsets say what all say: bounds the time
+OF_SECTION = 24  # .. and of each reference section
 AHEAD_OF_RADIUS = 6.0  # how far ahead of its head a ring may land
-STRETCHES, STRETCH_OF_RADIUS = 3, 3.0  # of a long scan: so many, each so long that all rings see its wall
+STRETCHES = 3  # of a long scan, that frames are taken from ..
+STRETCH_OF_RADIUS = 3.0  # .. each so long that all rings see its wall
 # What half a kelvin does to lens, slide and tube (of its length) while a scan lasts: where no section is, none is seen.
 WITHIN = (5e-5, 1e-5, 3.5e-5)
 UNEVENLY = 1.0 / 6.0  # of what a scan drifted by from section to section: warming is fast first, and no line
@@ -42,8 +44,10 @@ WILD = 3.0  # standard deviations of what the scan says of itself: a section tha
 # Of the radius: no head drifts by more from one end of a scan to the other, 4 K of a plastic lens, acrylic and film.
 APART_MOST = 0.0025
 UNSEEN_WHY = "too little of its wall was seen"
-SURE, CHANCE = 3.0, 0.003  # standard deviations, a probability: from there on a drift is named and taken out
-RING_POINTS, SECTION_OBSERVATIONS = 20, 60  # with fewer a ring, or a section, does not count as seen
+SURE = 3.0  # standard deviations: from there on a drift is named and taken out ..
+CHANCE = 0.003  # .. and the same as a probability: that the wall is opaque after all
+RING_POINTS = 20  # with fewer a ring does not count as seen
+SECTION_OBSERVATIONS = 60  # .. nor does a section
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,10 +14,12 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 # SIDEWAYS_DEG, SLIT_OF_RADIUS and FLOOR_PART: unguarded; the benchmark topic artefacts counts the false floors left.
 STEP_MM = 0.3  # a rise less than this is noise or the pipe's course
 LEVEL_OF_STEP = 0.2  # of the step: this near to the rim's or the floor's level is that
-RIM_OF_RADIUS, FLOOR_OF_RADIUS = 0.08, 0.12  # of the radius: wall before and after a step that gives its two levels
+RIM_OF_RADIUS = 0.08  # of the radius: wall before a step, that gives its rim's level
+FLOOR_OF_RADIUS = 0.12  # .. and behind it, that gives its floor's
 SIDEWAYS_DEG = 12.0  # how far round a step is followed from where it is plain
 SLIT_OF_RADIUS = 0.05  # of the radius: a slit's width on the wall
-RIM_PART, FLOOR_PART = 0.3, 0.8  # quantiles of the seen radii taken as the two levels: false floors lie between
+RIM_PART = 0.3  # quantile of what is seen there that is the rim's level ..
+FLOOR_PART = 0.8  # .. and the floor's: false floors lie between
 
 
 def between_levels(radius_mm: FloatArray, z_step_mm: float, rise: float) -> BoolArray:

@@ -25,7 +25,8 @@ NOT_ENOUGH = "not enough seen"  # kind of a finding
 STATION_MM = 5.0  # length of a station
 PAIRS_NEEDED = 0.5  # part of the diameters round the clock; with fewer a station has no figures
 # What is joined to a closed line; guarded by test_stations.py. A rod hides 6 degrees in most heads.
-GAP_MAX_DEG, GAPS_MAX = 20.0, 0.1  # the widest arc that nobody saw, and all of them together, part of the way round
+GAP_MAX_DEG = 20.0  # the widest arc that nobody saw
+GAPS_MAX = 0.1  # all of them together, part of the way round
 # A pocket's rim is half seen, and its floor is not: an extreme diameter must not end on it, nor be sure beside it.
 # Blind bench, seeds 1 to 4, 6 and what was worst of 5: k = 2 of the greatest beside joints held for 93.9 % of 1091, now
 # for 96.5.

@@ -15,7 +15,8 @@ from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
 
 # FARTHEST_OF_RADIUS is guarded downwards by test_texture_shows_a_stain_where_it_is; the others: unguarded.
-NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.4, 2.2  # of the radius: distances ahead from which colour is taken
+NEAREST_OF_RADIUS = 0.4  # of the radius: the least distance ahead from which colour is taken
+FARTHEST_OF_RADIUS = 2.2  # .. and the greatest
 LIGHT_FRAMES = 8  # how many frames teach the fall-off of the LED light along the pipe
 HIDDEN = 0.85  # of another camera's brightness: a cell seen darker is hidden by what is before it; test_texture
 BLACK = 4.0  # grey levels of a dark pixel; a cell must be brighter than this to have a colour

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe.archive.catalogue import add
-from annulus_pipe.archive.catalogue_query import _apart
+from annulus_pipe.archive.catalogue.query import _apart
 from annulus_pipe.cli import app
 from annulus_pipe.extras import need
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from annulus_pipe.archive.catalogue import add
-from annulus_pipe.archive.catalogue_query import open_catalogue
+from annulus_pipe.archive.catalogue import add, open_catalogue
 from annulus_pipe.vocabulary import AnnulusError
 
 SECONDS, MEMORY_MB = 1.0, 256

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.archive.catalogue_survey import read_survey
+from annulus_pipe.archive.catalogue.survey import read_survey
 from annulus_pipe.console.shelf import _rows
 from annulus_pipe.export.results import open_results
 from annulus_pipe.record.imu import read_motion

@@ -18,7 +18,7 @@ from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from annulus_pipe.job import JobSheet, Observation, Origin
 from annulus_pipe.numeric.rounding import MEASURE, quoted
 from annulus_pipe.report import Account, write
-from annulus_pipe.report.close_up import CIRCLE_PX, SWING_PX, across
+from annulus_pipe.report.cuts import CIRCLE_PX, SWING_PX, across
 from annulus_pipe.report.marks import marks_of
 from annulus_pipe.untrusted import parse_toml
 from annulus_pipe.wall import LedFrame, Survey, survey

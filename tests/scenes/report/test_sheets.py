@@ -13,9 +13,10 @@ from tiled_survey import tiled
 
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report import figures
-from annulus_pipe.report.maps import ROWS_MAX, Stretch, calm, draw_shape, lay, mean_colour
+from annulus_pipe.report.long_pipe import SHEETS_MAX, sheets_of
+from annulus_pipe.report.maps import ROWS_MAX, calm, draw_shape, mean_colour
 from annulus_pipe.report.marks import marks_of, outline
-from annulus_pipe.report.paper import stack
+from annulus_pipe.report.paper import AXES_MM, Stretch, scale_of, stack
 from annulus_pipe.wall import LedFrame, Survey, survey
 
 AXIS_BGR = (0x85, 0x78, 0x6B)
@@ -32,26 +33,25 @@ def short() -> Survey:
 @given(st.floats(-1e5, 1e5), st.floats(0.1, 2e6))
 @example(-5e-324, 1.0)  # over the length of a sheet it is -0.0
 def test_sheets_cover_the_pipe_without_a_gap_and_are_never_too_many(first: float, length: float) -> None:
-    sheets = figures.sheets_of(first, first + length)
-    assert 1 <= len(sheets) <= figures.SHEETS_MAX
+    sheets = sheets_of(first, first + length)
+    assert 1 <= len(sheets) <= SHEETS_MAX
     assert sheets[0][0] <= first and sheets[-1][1] >= first + length - 1e-6
     assert all(math.isclose(a[1], b[0], abs_tol=1e-6) for a, b in pairwise(sheets))
     assert len({round(b - a, 3) for a, b in sheets}) == 1
 
 
 def test_thirty_metres_are_sheets_of_three_at_one_to_twenty() -> None:
-    sheets = figures.sheets_of(84.0, 29_900.0)
+    sheets = sheets_of(84.0, 29_900.0)
     assert len(sheets) == 10 and sheets[3] == (9000.0, 12000.0)
-    assert len(figures.sheets_of(0.0, 60_000.0)) == 20 and len(figures.sheets_of(0.0, 60_001.0)) == 11
-    assert figures.scale_of(3000.0, figures.AXES_MM) == "1 : 20"
+    assert len(sheets_of(0.0, 60_000.0)) == 20 and len(sheets_of(0.0, 60_001.0)) == 11
+    assert scale_of(3000.0, AXES_MM) == "1 : 20"
 
 
 @pytest.mark.parametrize("names", [True, False])
 def test_a_map_names_each_thing_once_beside_it_or_along_its_edge(short: Survey, names: bool) -> None:
     marks = marks_of(short)
-    figure, (axes,) = stack([(9.0, 60.0)])
     whole = Stretch.of(short, *short.wall.extent[:2])
-    lay([axes], whole)
+    figure, (axes,) = stack([(9.0, 60.0)], whole)
     draw_shape(figure, axes, short, whole, short.wall.deviation_mm(), 3.0, marks, 60.0, names=names)
     said = [name.strip() for text in axes.texts for name in text.get_text().split(",")]
     assert len(marks) >= 2

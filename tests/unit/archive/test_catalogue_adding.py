@@ -12,11 +12,9 @@ from typing import Any
 
 import pytest
 
-from annulus_pipe.archive import catalogue_store
-from annulus_pipe.archive.catalogue import Added, Refused, add, checked, listed, results_of
-from annulus_pipe.archive.catalogue_packs import pack
-from annulus_pipe.archive.catalogue_query import open_catalogue
-from annulus_pipe.archive.catalogue_store import pack_folders, survey_folder, survey_ids
+from annulus_pipe.archive.catalogue import Added, Refused, add, checked, listed, open_catalogue, results_of, store
+from annulus_pipe.archive.catalogue.pieces import pack
+from annulus_pipe.archive.catalogue.store import pack_folders, survey_folder, survey_ids
 from annulus_pipe.job import JobSheet
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
@@ -252,7 +250,7 @@ def test_who_is_killed_while_adding_leaves_nothing_half(tmp_path: Path) -> None:
 def test_a_disk_that_fills_up_leaves_nothing_half(tmp_path: Path, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     archive, made = tmp_path / "archive", season(tmp_path, 2)
     add(archive, made[:1])
-    real, calls = getattr(catalogue_store, stage), [0]
+    real, calls = getattr(store, stage), [0]
 
     def full(*given: Any) -> None:
         calls[0] += 1
@@ -260,7 +258,7 @@ def test_a_disk_that_fills_up_leaves_nothing_half(tmp_path: Path, stage: str, mo
             raise OSError(28, "No space left on device")
         real(*given)
 
-    monkeypatch.setattr(catalogue_store, stage, full)
+    monkeypatch.setattr(store, stage, full)
     with pytest.raises(AnnulusError, match="No space left"):
         add(archive, made[1:])
     assert len(listed(archive)[0]) == 1 and not list(archive.rglob(".new-*"))

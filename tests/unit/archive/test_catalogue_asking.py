@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from annulus_pipe.archive.catalogue import Added, add, listed
-from annulus_pipe.archive.catalogue_columns import JOINT_MEASURES, TABLES, VIEWS
-from annulus_pipe.archive.catalogue_packs import pack
-from annulus_pipe.archive.catalogue_query import Catalogue, open_catalogue
-from annulus_pipe.archive.catalogue_questions import QUESTIONS
-from annulus_pipe.archive.catalogue_store import pack_folders, survey_folder
+from annulus_pipe.archive.catalogue.columns import JOINT_MEASURES, TABLES, VIEWS
+from annulus_pipe.archive.catalogue.pieces import pack
+from annulus_pipe.archive.catalogue.query import Catalogue, open_catalogue
+from annulus_pipe.archive.catalogue.questions import QUESTIONS
+from annulus_pipe.archive.catalogue.store import pack_folders, survey_folder
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 

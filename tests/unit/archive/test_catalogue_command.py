@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from annulus_pipe.archive.catalogue_columns import (
+from annulus_pipe.archive.catalogue.columns import (
     DEFECTS,
     FEATURES,
     JOINT_MEASURES,
@@ -19,7 +19,7 @@ from annulus_pipe.archive.catalogue_columns import (
     SURVEYS,
     VIEWS,
 )
-from annulus_pipe.archive.catalogue_questions import QUESTIONS
+from annulus_pipe.archive.catalogue.questions import QUESTIONS
 from annulus_pipe.cli import app
 from annulus_pipe.extras import need
 from annulus_pipe.vocabulary import AnnulusError

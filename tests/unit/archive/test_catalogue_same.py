@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus_pipe.archive import catalogue_store
-from annulus_pipe.archive.catalogue_columns import STATIONS
-from annulus_pipe.archive.catalogue_pieces import find, session
-from annulus_pipe.archive.catalogue_store import read_back, survey_folder
-from annulus_pipe.archive.catalogue_survey import read_survey
+from annulus_pipe.archive.catalogue import store
+from annulus_pipe.archive.catalogue.columns import STATIONS
+from annulus_pipe.archive.catalogue.pieces import find, session
+from annulus_pipe.archive.catalogue.store import read_back, survey_folder
+from annulus_pipe.archive.catalogue.survey import read_survey
 from tools.bench.speed.catalogue import results
 
 MAY = datetime(2026, 5, 4, 8)
@@ -83,9 +83,9 @@ def test_what_is_added_comes_out_the_same(
         cells = [repr(float(z[i])), *line.split(",")[1:]]
         lines[i] = ",".join("" if j and (i + j) % 5 == 4 else cell for j, cell in enumerate(cells))
     (folder / "stations.csv").write_text("\n".join([head, *lines, ""]))
-    root = catalogue_store.make(archive)
+    root = store.make(archive)
     record = read_survey(folder)
-    assert catalogue_store.put(root, record) and not catalogue_store.put(root, record)
+    assert store.put(root, record) and not store.put(root, record)
     back = read_back(survey_folder(root, record.survey))
     assert back.row == record.row
     assert back.defects == list(record.defects) and back.features == list(record.features)

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
-from annulus_pipe.archive.catalogue_survey import read_survey
+from annulus_pipe.archive.catalogue.survey import read_survey
 from annulus_pipe.untrusted import parse_json
 from tools.bench.fuzz.mutate import HOSTILE, as_json, of_bytes, of_rows, of_values
 from tools.bench.speed.catalogue import results

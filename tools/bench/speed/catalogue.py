@@ -23,12 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.archive.catalogue import add
-from annulus_pipe.archive.catalogue_packs import pack
-from annulus_pipe.archive.catalogue_query import open_catalogue
-from annulus_pipe.archive.catalogue_questions import QUESTIONS
-from annulus_pipe.archive.catalogue_store import make, put
-from annulus_pipe.archive.catalogue_survey import ID_DIGITS, SurveyRecord, digest, read_survey
+from annulus_pipe.archive.catalogue import add, open_catalogue
+from annulus_pipe.archive.catalogue.pieces import pack
+from annulus_pipe.archive.catalogue.questions import QUESTIONS
+from annulus_pipe.archive.catalogue.store import make, put
+from annulus_pipe.archive.catalogue.survey import ID_DIGITS, SurveyRecord, digest, read_survey
 from annulus_pipe.extras import need
 from tools.bench.table import Row
 

@@ -29,10 +29,12 @@ from annulus_pipe.vocabulary import AnnulusError
 # Of the radius: vertex beside the camera, tried as starts in this order.
 # By topic autocalibration (cold starts, with and without noise) and, for a mirror, test_mirror_calibration.
 DISTANCES = (-0.7, -0.25, 0.3, -1.8, 1.0)
-ASIDE, WAYS = (0.25, 0.5), 8  # of the radius: vertex to the side of a camera of several, in so many directions
+ASIDE = (0.25, 0.5)  # of the radius: vertex to the side of a camera of several ..
+WAYS = 8  # .. in so many directions
 COARSE = 32  # observations of each ring in each frame that a start is tried with
 SPARSE = 96  # of each ring over all frames: enough for where one of several cameras begins, it is only a beginning
-ROUGH, PROMISING = 0.1, 6  # of a parameter's size: starts are looked at, and so many go on
+ROUGH = 0.1  # of a parameter's size: how well a start is fitted before it is looked at ..
+PROMISING = 6  # .. and so many go on
 NEAR = 1e-3  # of a parameter's size: a start is good enough to be compared
 
 

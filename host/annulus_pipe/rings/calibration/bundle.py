@@ -19,17 +19,16 @@ from annulus_pipe.vocabulary import AnnulusError
 REJECTED = 6.0  # sigma, Tukey's: 98 % efficient on normal errors, nothing beyond counts
 STEPS = 60  # of the descent
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
-TINT_PX, TINT_COMMON_PX = (
-    0.2,
-    0.001,
-)  # a colour's image is off by no more, and all alike (the lens would show it), standard deviation
+TINT_PX = 0.2  # what a colour's image is off by, standard deviation ..
+TINT_COMMON_PX = 0.001  # .. and all three alike: the lens would show it
 _ALL = np.tile(np.eye(4)[:2], 3) / 3.0  # (2, 12): the way that all three colours are off by
 TINTS = np.eye(12) / TINT_PX**2 + _ALL.T @ _ALL / TINT_COMMON_PX**2
 SETTLED = 1e-6  # of a parameter's size: the descent ends
 # What a stretch of a ring's image is off in every pose alike, standard deviation, and how many stretches a ring has:
 # what a mosaic of colours and a JPEG leave after TINTS. No residual shows it, for the unknowns take it up. By
 # topic stereo: 0.0097 px at the truth of stereo-calib-a, 0.0079 of a clean drawing sent through mosaic and JPEG.
-ALIKE_PX, STRETCHES = 0.01, 12
+ALIKE_PX = 0.01
+STRETCHES = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,11 +24,14 @@ GUESS_PX = 24.0  # ring spacing taken for granted in the first look; only the sm
 INNERMOST_PX = 8.0  # from the centre, where lines begin
 AROUND = 8  # directions on each side that a ring's course is the median of
 WANDER = 0.5  # of the way to the next ring: a slit farther from its ring's course is another's
-STRAY, STRAY_PX = 5.0, 2.0  # a slit this many sigma, but at least so many px, off the course is no slit of the ring
-NARROW, WIDE = 0.75, 1.3  # of the ring's usual width around there
+STRAY = 5.0  # sigma off the course: farther is no slit of the ring ..
+STRAY_PX = 2.0  # .. but px at least
+NARROW = 0.75  # of the ring's usual width around there: a narrower slit is half covered ..
+WIDE = 1.3  # .. and a wider one part of a shadow
 STRONG = 0.5  # of the usual line: what is counted in the first look at bright lines
 LEAST = 0.15  # of the directions must show a ring for its course to be drawn
-FULL, BESIDE_PX = 250, 3.0  # grey level that is full scale, give or take JPEG; looked for so far beyond a slit's edges
+FULL = 250  # grey level that is full scale, give or take JPEG
+BESIDE_PX = 3.0  # beyond a slit's edges, where it is looked for
 WHOLE = 0.3  # of a ring's slits in a frame: with so many between stripes that are not over-exposed, the others go
 
 

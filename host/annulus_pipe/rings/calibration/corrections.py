@@ -15,7 +15,8 @@ from annulus_pipe.rings.calibration.observations import Observations, azimuths
 
 # By topic fine_tuning (held-out radius error, <= 0.28 mm).
 DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
-ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
+STRAIGHT_PX = 1.5  # an offset that moves a slit farther is found again from there: lines are not straight ..
+ROUNDS = 4  # .. so often at most
 
 
 def fit_corrections(

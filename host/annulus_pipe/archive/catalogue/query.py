@@ -2,7 +2,7 @@
 
 DuckDB looks at its interrupt and counts its memory between vectors: one value, `repeat('x', 2000000000)`, is one step
 to it. So the process is killed when its time is over, and the system gives it no more memory than it may have
-(catalogue_asking.py). What it may read is bounded by catalogue_engine.py.
+(asking.py). What it may read is bounded by engine.py.
 """
 
 import contextlib
@@ -21,16 +21,16 @@ from typing import IO, Any
 
 import numpy as np
 
-from annulus_pipe.archive.catalogue_engine import Engine, too_much
-from annulus_pipe.archive.catalogue_pieces import MEMORY_MB, Damage, Pieces
-from annulus_pipe.archive.catalogue_store import require
+from annulus_pipe.archive.catalogue.engine import Engine, too_much
+from annulus_pipe.archive.catalogue.pieces import MEMORY_MB, Damage, Pieces
+from annulus_pipe.archive.catalogue.store import require
 from annulus_pipe.extras import need
 from annulus_pipe.stream.orphan import child
 from annulus_pipe.vocabulary import AnnulusError
 
 SECONDS = 60.0
 READY_S = 60.0  # for the process to begin and open the catalogue: 1 s for a season's; not the question's time
-ASKING = "annulus_pipe.archive.catalogue_asking"
+ASKING = "annulus_pipe.archive.catalogue.asking"
 BLOCK_MAX = 64 << 20  # bytes of rows that come at once; one row has no more
 READY, DAMAGE, REFUSED, BLOCK, END = b"R", b"D", b"E", b"B", b"Z"  # what a message of the process is
 HEAD = struct.Struct("<cQ")  # kind, bytes that follow

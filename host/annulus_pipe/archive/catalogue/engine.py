@@ -3,7 +3,7 @@
 Three walls: a question is one statement whose parsed tree has only SELECTs in it (DuckDB runs a COPY inside a WITH, and
 a function `query` runs any text), the engine may open only the catalogue's own files, and its configuration is locked.
 Nothing is spilled to disk. DuckDB's own bounds hold between its vectors only: whoever asks for others does so in a
-process of its own (catalogue_asking.py).
+process of its own (asking.py).
 """
 
 import json
@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.archive.catalogue_columns import JOINT_KINDS, JOINT_MEASURES, SUPERSEDED, SURVEYS, TABLES
-from annulus_pipe.archive.catalogue_pieces import Damage, Pieces, broken, find, quoted, session
+from annulus_pipe.archive.catalogue.columns import JOINT_KINDS, JOINT_MEASURES, SUPERSEDED, SURVEYS, TABLES
+from annulus_pipe.archive.catalogue.pieces import Damage, Pieces, broken, find, quoted, session
 from annulus_pipe.extras import need
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError

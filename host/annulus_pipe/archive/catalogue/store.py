@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.archive.catalogue_columns import TABLES, Column
-from annulus_pipe.archive.catalogue_survey import Row, SurveyRecord, digest
+from annulus_pipe.archive.catalogue.columns import TABLES, Column
+from annulus_pipe.archive.catalogue.survey import Row, SurveyRecord, digest
 from annulus_pipe.extras import need
 from annulus_pipe.record.results_folder import STATIONS_MAX
 from annulus_pipe.record.whole import written_whole

@@ -1,8 +1,4 @@
-"""The catalogue of surveys: adding, what there is, and where the results of one lie. Questions: `catalogue_query`.
-
-add(Path("archive"), [Path("results-1"), ..])     # Added or Refused for each
-results_of(Path("archive"), "P-17@2026")          # the folder, to be compared with another
-"""
+"""Surveys added to a catalogue, listed, checked, and where the results of one lie."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,12 +7,11 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.archive.catalogue_columns import SUPERSEDED, SURVEYS
-from annulus_pipe.archive.catalogue_packs import pack
-from annulus_pipe.archive.catalogue_pieces import Damage, quoted
-from annulus_pipe.archive.catalogue_query import open_catalogue
-from annulus_pipe.archive.catalogue_store import make, put, read_back, require, survey_folder, survey_ids, sweep
-from annulus_pipe.archive.catalogue_survey import Row, digest, read_survey
+from annulus_pipe.archive.catalogue.columns import SUPERSEDED, SURVEYS
+from annulus_pipe.archive.catalogue.pieces import Damage, pack, quoted
+from annulus_pipe.archive.catalogue.query import open_catalogue
+from annulus_pipe.archive.catalogue.store import make, put, read_back, require, survey_folder, survey_ids, sweep
+from annulus_pipe.archive.catalogue.survey import Row, digest, read_survey
 from annulus_pipe.extras import need
 from annulus_pipe.job import WORDS, JobSheet
 from annulus_pipe.untrusted import one_line, printable, shown

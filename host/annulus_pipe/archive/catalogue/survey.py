@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.archive.catalogue_columns import STATIONS, TABLES
+from annulus_pipe.archive.catalogue.columns import STATIONS, TABLES
 from annulus_pipe.job import JobSheet
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.record.results_folder import (

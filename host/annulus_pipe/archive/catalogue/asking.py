@@ -1,6 +1,6 @@
-"""The process that answers one question to a catalogue. Run as `python -m annulus_pipe.archive.catalogue_asking`.
+"""The process that answers one question to a catalogue. Run as `python -m annulus_pipe.archive.catalogue.asking`.
 
-A question comes as JSON on stdin; what goes to stdout is said in catalogue_query.py. Of memory it gets what the
+A question comes as JSON on stdin; what goes to stdout is said in query.py. Of memory it gets what the
 question may use and a quarter more, over what it has once the catalogue is open (RLIMIT_DATA: what is written to, not
 what is put aside). It also ends by itself, should nobody be left to end it.
 """
@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from annulus_pipe.archive.catalogue_engine import Engine
-from annulus_pipe.archive.catalogue_query import BLOCK, BLOCK_MAX, DAMAGE, END, HEAD, READY, REFUSED
+from annulus_pipe.archive.catalogue.engine import Engine
+from annulus_pipe.archive.catalogue.query import BLOCK, BLOCK_MAX, DAMAGE, END, HEAD, READY, REFUSED
 from annulus_pipe.extras import need
 from annulus_pipe.vocabulary import AnnulusError
 
