@@ -9,6 +9,7 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -105,7 +106,7 @@ class Measuring(Generic[Job, Part]):
             require_plain_npz(io.BytesIO(content), {})
             with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 return self.read(self.job, {name: arrays[name] for name in arrays.files})
-        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        except (OSError, EOFError, ValueError, KeyError, TypeError, IndexError, BadZipFile) as error:
             raise AnnulusError(f"{self.place}: {name}: not a window of this scan ({error})") from None
 
     def of(self, executor: Executor, one: Window) -> tuple[Part, bool]:
