@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from annulus_pipe.job import Origin
-from annulus_pipe.record.storage import Place
 from annulus_pipe.report import Account, keep_windows, write, write_whole, write_window
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess import Job, photographs
+from annulus_pipe.storage.place import Place
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.joined import Joined
 from annulus_pipe.wall.sections import worth_showing
