@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.record.arrays import require_plain_npz
+from annulus_pipe.storage.arrays import require_plain_npz
 from annulus_pipe.untrusted import shown, within
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -160,10 +160,10 @@ def reconstruct(
     """
     from annulus_pipe.cli.results import Told, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.job import job_of
-    from annulus_pipe.record.origin import origin_of
-    from annulus_pipe.record.storage import Place
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess import Processes, look_at, make_ready, open_job, surveyed
+    from annulus_pipe.scans.origin import origin_of
+    from annulus_pipe.storage.place import Place
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
@@ -208,7 +208,7 @@ def reconstruct(
 
 
 def _criteria(limits: Path | None) -> "Criteria | None":
-    from annulus_pipe.record.limits_file import load_limits
+    from annulus_pipe.cli.limits_file import load_limits
 
     return None if limits is None else load_limits(limits)
 

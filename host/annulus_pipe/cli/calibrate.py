@@ -169,7 +169,7 @@ def colour(
     """
     from annulus_pipe.calibrate.colour import calibrate_colour
     from annulus_pipe.calibrate.wall import MeasuredWall, save_wall
-    from annulus_pipe.record.calibration_file import save_part
+    from annulus_pipe.storage.calibration_file import save_part
 
     with progress() as bars:
         learnt = calibrate_colour(
@@ -227,7 +227,7 @@ def reference(
     from math import degrees, hypot, isnan
 
     from annulus_pipe.calibrate.reference import calibrate_reference
-    from annulus_pipe.record.calibration_file import save_part
+    from annulus_pipe.storage.calibration_file import save_part
 
     with progress() as bars:
         learnt = calibrate_reference(scan, calibration, radius_mm=radius, progress=bars)
@@ -280,7 +280,7 @@ def target(
     """
     from annulus_pipe.calibrate.target import calibrate_target, save_target
     from annulus_pipe.geometry.calibration import camera_to_dict
-    from annulus_pipe.record.calibration_file import load_camera, load_sections
+    from annulus_pipe.storage.calibration_file import load_camera, load_sections
 
     lens, given = load_camera(camera), load_sections(camera)
     pattern = given.get("pattern")
@@ -358,7 +358,7 @@ def pipe(
     from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus_pipe.calibrate.pipe_picture import draw_pipe
     from annulus_pipe.geometry.calibration import several_cameras
-    from annulus_pipe.record.calibration_file import load_sections
+    from annulus_pipe.storage.calibration_file import load_sections
 
     with progress() as bars:
         if pattern == "slits" and several_cameras(load_sections(camera)):

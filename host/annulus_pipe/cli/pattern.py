@@ -95,9 +95,9 @@ def design(
         )
     from annulus_pipe.calibrate.slide import write_design
     from annulus_pipe.geometry.camera import Camera
-    from annulus_pipe.record.calibration_file import load_camera
     from annulus_pipe.rings.pattern import Head, stripe_colours
     from annulus_pipe.rings.pattern import design as lay_out
+    from annulus_pipe.storage.calibration_file import load_camera
 
     if (camera is None) == (f is None):
         raise AnnulusError("give either --camera FILE or --f PIXELS (with --fisheye and --size as need be)")
@@ -208,8 +208,8 @@ def _fringe(
 
 def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:
     from annulus_pipe.calibrate.outlook_picture import draw_outlook
-    from annulus_pipe.record.calibration_file import load_calibration
     from annulus_pipe.stereo.outlook import COVERED, outlook
+    from annulus_pipe.storage.calibration_file import load_calibration
 
     if file is None:
         raise AnnulusError("--head stereo needs --calibration FILE: cameras, where they stand, and the rings")

@@ -16,8 +16,8 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings import opened
 
 if TYPE_CHECKING:
-    from annulus_pipe.record.storage import Place
     from annulus_pipe.reprocess import Executor
+    from annulus_pipe.storage.place import Place
     from annulus_pipe.wall.reference import ReferenceSection
 
 EXAMPLE = "Example: annulus reprocess scans/*.mcap -o season --workers 4"
@@ -118,8 +118,8 @@ def folders(scans: Sequence[str]) -> dict[str, str]:
 
 
 def _place(out: str) -> "Place":
-    from annulus_pipe.record.storage import Place
     from annulus_pipe.report import prepare_folder
+    from annulus_pipe.storage.place import Place
 
     place = Place(out)
     if place.local is None:
@@ -173,10 +173,10 @@ def _one(scan: str, place: "Place", executor: "Executor", given: _With, bars: An
 
 def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
     from annulus_pipe.cli.results import Told, WindowFiles, measured_by, refuse, write_results
-    from annulus_pipe.record.origin import origin_of
-    from annulus_pipe.record.storage import where
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess import look_at, make_ready, open_job, surveyed
+    from annulus_pipe.scans.origin import origin_of
+    from annulus_pipe.storage.place import where
 
     path = cast(Path, where(scan))
     wing = opened(path, given.calibration)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe import wings
 from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
-from annulus_pipe.record.storage import Place
 from annulus_pipe.report import Account, keep_windows, prepare_folder, write, write_whole, write_window
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess import Job, photographs
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.joined import Joined

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
 from annulus_pipe.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
@@ -24,6 +23,7 @@ from annulus_pipe.reprocess.places import (
 )
 from annulus_pipe.reprocess.ranges import CHUNK
 from annulus_pipe.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
+from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall import survey

@@ -6,11 +6,11 @@ from typing import Protocol
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.scan import ScanFrame
 from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Trouble, examine
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.stereo import StereoReconstructor, swapped
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wall.profile import Profile

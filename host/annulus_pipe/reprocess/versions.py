@@ -15,7 +15,19 @@ from typing import Any
 
 import numpy as np
 
-ROOMS = ("numeric", "geometry", "wall", "rings", "stereo", "stream", "capture", "record", "reprocess")
+ROOMS = (
+    "numeric",
+    "geometry",
+    "wall",
+    "rings",
+    "stereo",
+    "stream",
+    "capture",
+    "storage",
+    "record",
+    "scans",
+    "reprocess",
+)
 FILES = ("vocabulary.py", "untrusted.py")  # beside the rooms
 PACKAGES = ("numpy", "cv2", "scipy", "numba", "llvmlite", "zstandard")
 

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess.engine import Progress, reprocess
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.gather import Ranged, gathered, in_ranges
@@ -28,6 +27,7 @@ from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus_pipe.reprocess.windows import Files, survey_windows
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import Finding, Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale

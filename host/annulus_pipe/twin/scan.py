@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from annulus_pipe.record.codec import to_bgr
-from annulus_pipe.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
+from annulus_pipe.scans.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, every_world, translucent
 from annulus_pipe.twin.worlds.sensor_head import Projector

@@ -12,9 +12,9 @@ from plates import LEFT
 from results_hash import results_hash
 from test_reconstruct import calibration, scan
 
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.ranges import FOLDER
+from annulus_pipe.storage.place import Place
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.heads import series_world

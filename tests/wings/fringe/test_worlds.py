@@ -11,7 +11,7 @@ import pytest
 
 from annulus_pipe.geometry.cone import intersect_cylinder
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.scan import open_scan
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.twin.worlds import World

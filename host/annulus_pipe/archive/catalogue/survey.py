@@ -19,7 +19,7 @@ import numpy as np
 from annulus_pipe.archive.catalogue.columns import STATIONS, TABLES
 from annulus_pipe.job import JobSheet
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.results_folder import (
+from annulus_pipe.storage.results_folder import (
     LATER_COLUMNS,
     MM_MAX,
     PLACES_MAX,
@@ -35,7 +35,7 @@ from annulus_pipe.record.results_folder import (
     texts,
     unreadable,
 )
-from annulus_pipe.record.results_folder import STATIONS as STATIONS_FILE
+from annulus_pipe.storage.results_folder import STATIONS as STATIONS_FILE
 from annulus_pipe.untrusted import mapping, printable, shown, within
 
 ID_DIGITS = 12  # hexadecimal; of 100 000 surveys two would share them once in 50 000 catalogues, and adding says so

@@ -15,7 +15,7 @@ import numpy as np
 from annulus_pipe import untrusted
 from annulus_pipe.numeric.rounding import DISTANCE, quoted
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import Scan
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.vocabulary import AnnulusError, Finding

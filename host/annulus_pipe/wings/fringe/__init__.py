@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
-    from annulus_pipe.record.storage import Where
+    from annulus_pipe.storage.place import Where
     from annulus_pipe.twin.worlds import World
     from annulus_pipe.wings import Results
     from annulus_pipe.wings.fringe.job import FringeJob

@@ -58,7 +58,7 @@ def fringe(
     A slide of rings: in a clean pipe of known radius, the head some millimetres aside (tx_mm right, ty_mm down), three
     frames or more. It begins with the slide's design.
     """
-    from annulus_pipe.record.calibration_file import projects_rings
+    from annulus_pipe.storage.calibration_file import projects_rings
     from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
 
     if projects_rings(design or camera):

@@ -13,9 +13,9 @@ import numpy as np
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.record.calibration_file import load_part, load_sections
-from annulus_pipe.record.scan import Scan, open_scan
-from annulus_pipe.record.storage import Where
+from annulus_pipe.scans.scan import Scan, open_scan
+from annulus_pipe.storage.calibration_file import load_part, load_sections
+from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wings.fringe.measure import FringeHead, FringeProjector, Points, Transfer, View, told_elsewhere
 

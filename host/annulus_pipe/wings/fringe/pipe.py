@@ -16,12 +16,12 @@ from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, Image
-from annulus_pipe.record.calibration_file import load_part
-from annulus_pipe.record.scan import Scan, open_scan
-from annulus_pipe.record.storage import Place, Where
 from annulus_pipe.reprocess.executors import Executor, in_process
 from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.reprocess.places import require_near
+from annulus_pipe.scans.scan import Scan, open_scan
+from annulus_pipe.storage.calibration_file import load_part
+from annulus_pipe.storage.place import Place, Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.apart import sound_wall_apart
 from annulus_pipe.wall.centreline import Centreline, Piece

@@ -22,8 +22,8 @@ from scipy.ndimage import binary_closing, binary_fill_holes
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import robust_sigma
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess.executors import Executor, in_process
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import AnnulusError, Finding, first_few
 from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order

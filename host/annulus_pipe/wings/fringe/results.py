@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
-from annulus_pipe.record.storage import Place
 from annulus_pipe.report import Account, Paper, write
 from annulus_pipe.reprocess.executors import Executor
+from annulus_pipe.storage.place import Place
 from annulus_pipe.wall.conformity import judge
 from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings import Results

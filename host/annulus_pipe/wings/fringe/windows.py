@@ -13,12 +13,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from annulus_pipe.record.arrays import require_plain_npz
-from annulus_pipe.record.scan import Scan
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess.executors import Executor, Failed
 from annulus_pipe.reprocess.ranges import FOLDER, identity, part_of
 from annulus_pipe.reprocess.versions import address, digest_of, measured_with
+from annulus_pipe.scans.scan import Scan
+from annulus_pipe.storage.arrays import require_plain_npz
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import AnnulusError
 
 Arrays = Mapping[str, Any]
