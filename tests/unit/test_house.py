@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ROOT / "host/annulus_pipe"
 MAP = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 LINES_MAX = 500
+PARAMETERS_MAX = 12  # more are a named tuple's fields: they pass each other unnoticed when two are swapped
 SOURCES = (".py", ".c", ".h", ".mjs")
 
 
@@ -40,6 +41,20 @@ def test_no_source_file_is_too_long_to_be_read_at_once() -> None:
 def test_the_formatter_has_the_last_word() -> None:
     mark = "fmt: " + "skip"
     assert not [str(path.relative_to(ROOT)) for path in sources() if mark in path.read_text(encoding="utf-8")]
+
+
+def test_no_function_takes_more_than_can_be_told_apart() -> None:
+    """A command's options are named where they are given: cli/ and the wings' commands may have any number."""
+    many = {}
+    for path in sorted(ROOMS.rglob("*.py")):
+        if path.is_relative_to(ROOMS / "cli") or path.name.endswith("commands.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                count = len(node.args.posonlyargs) + len(node.args.args)
+                if count > PARAMETERS_MAX:
+                    many[f"{path.relative_to(ROOMS)}:{node.name}"] = count
+    assert not many
 
 
 def named(node: ast.AST) -> str | None:
