@@ -11,7 +11,7 @@
 #include "../ticks.h"
 #include "hardware.h"
 #include "registers.h"
-#include "usb.h"
+#include "endpoints.h"
 
 #define STRING_MAX 24U  // characters of the longest string descriptor
 

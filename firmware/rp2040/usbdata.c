@@ -8,7 +8,7 @@
 #include "../board.h"
 #include "hardware.h"
 #include "registers.h"
-#include "usb.h"
+#include "endpoints.h"
 
 struct usb_port usb_port;
 

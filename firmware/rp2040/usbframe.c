@@ -15,7 +15,7 @@
 #include "../ticks.h"
 #include "hardware.h"
 #include "registers.h"
-#include "usb.h"
+#include "endpoints.h"
 
 #define EARLY_US 780U    // of a frame's 1000: 800 is TinyUSB's bound, from the maker; the rest is below
 #define STILL_US 20000U  // so many frames are not lost in a row on a bus that is awake

@@ -1,8 +1,8 @@
 // What the files of the USB device know of each other: usb.c the bus and endpoint 0, usbdata.c the rest, usbframe.c
 // when.
 
-#ifndef ANNULUS_USB_H
-#define ANNULUS_USB_H
+#ifndef ANNULUS_ENDPOINTS_H
+#define ANNULUS_ENDPOINTS_H
 
 #include <stdbool.h>
 #include <stdint.h>
