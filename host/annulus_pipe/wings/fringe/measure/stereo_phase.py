@@ -253,7 +253,7 @@ def _phase(
     level = np.maximum(value, 0.0)
     weight = fine / (noise[0] + level * (noise[1] + level * noise[2]))
     phase = np.where(fine, phase, 0.0)
-    columns = [np.ones_like(phase), np.cos(phase), -np.sin(phase)]
+    columns = [np.ones_like(phase), np.cos(phase), -np.sin(phase)]  # Eq. 6.9
     prior = np.zeros(3)
     solution, fit, inverse, misfit, scale = _solve(columns, value, weight, prior, used)
     if drift_sigma > 0:
@@ -270,9 +270,8 @@ def _phase(
         across = np.stack([-odd, even], axis=1) / (ac * ac)[:, None]
         variance = np.einsum("pi,pij,pj->p", across, inverse[:, 1:3, 1:3], across) * scale
         empty = used < 3
-    off, variance, dc, ac, misfit = (
-        np.where(empty, np.nan, one) for one in (np.arctan2(odd, even), variance, dc, ac, misfit)
-    )
+    off = np.arctan2(odd, even)  # Eq. 6.14
+    off, variance, dc, ac, misfit = (np.where(empty, np.nan, one) for one in (off, variance, dc, ac, misfit))
     return _Seen(off, variance, dc, ac, misfit, used)
 
 
@@ -283,7 +282,7 @@ def _solve(
     rows = np.stack(columns, axis=-1)
     matrix = np.einsum("np,npi,npj->pij", weight, rows, rows, optimize=True) + np.diag(prior + 1e-12)
     inverse = np.linalg.inv(matrix)
-    solution = np.einsum("pij,np,npj->pi", inverse, weight * value, rows, optimize=True)
+    solution = np.einsum("pij,np,npj->pi", inverse, weight * value, rows, optimize=True)  # Eq. 6.13, weighted
     fit = np.einsum("npi,pi->np", rows, solution)
     misfit = (weight * np.square(value - fit)).sum(axis=0)
     free = np.maximum(used - 3, 1)

@@ -144,7 +144,7 @@ def time_reversal(
     def emitted(traces: NDArray[np.float64], n: int) -> NDArray[np.floating]:
         return solver.reverse(_onto_rim(traces[order], turn, np.degrees(angles)), cells, counted(n))
 
-    estimate = np.where(inside, emitted(heard, 0), 0.0)
+    estimate = np.where(inside, emitted(heard, 0), 0.0)  # Eq. 7.19
     misfit: list[float] = []
     last = estimate
     for n in range(refinements):
