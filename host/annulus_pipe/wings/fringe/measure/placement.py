@@ -22,7 +22,8 @@ from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, lo
 from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, Heights, Points, View
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
-POSE, LAW = 6, 7  # numbers of a pose; of a projector: centre, two of its direction, phase, logarithm of its period
+POSE = 6  # numbers of a pose
+LAW = 7  # of a projector: centre, two of its direction, phase, logarithm of its period
 EPSILON = 1e-5  # rad: differences in place of derivatives
 EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7])
 SHADING_SIGMA = 0.5  # of a coefficient: light changes by a factor along the seen wall, not by orders of magnitude

@@ -43,7 +43,8 @@ ROUNDS = 5
 SEEN_MIN = 200  # points with a disparity, to say a phase by
 STRONG = 0.1  # rad/mm: below that two cameras' phases do not tell heights apart
 BLOCK = 20000  # points at a time: 24 frames of them, and their columns, are 40 MB
-PERIOD_OFF, PERIOD_STEPS = 0.05, 101  # share by which a slide's period may be off its design
+PERIOD_OFF = 0.05  # share by which a slide's period may be off its design
+PERIOD_STEPS = 101  # tried over it
 CONCENTRATED = 0.3  # length of the mean of all unit phases: below it the frames show no slide of that period
 WINDOW = 0.5  # of a half period: farther from the rough height than that is another order's
 
