@@ -6,8 +6,8 @@ python -m tools.kernels        nothing to do where they are compiled: they are k
 import sys
 from pathlib import Path
 
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.reprocess import ahead
+from annulus_pipe.storage.calibration_file import load_calibration
 
 DATA = Path(__file__).resolve().parents[1] / "tests/data"
 

@@ -26,8 +26,6 @@ from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 from annulus_pipe.numeric.telling import telling
-from annulus_pipe.record.calibration_file import save_calibration
-from annulus_pipe.record.origin import origin_of
 from annulus_pipe.report import FILES, Account, prepare_folder, write
 from annulus_pipe.reprocess import (
     Job,
@@ -40,7 +38,9 @@ from annulus_pipe.reprocess import (
     stage_medians,
     warm_up,
 )
+from annulus_pipe.scans.origin import origin_of
 from annulus_pipe.stereo import CAMERA_MISSING
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus_pipe.twin.score import score
 from annulus_pipe.twin.worlds import World, demo_world, stereo_world

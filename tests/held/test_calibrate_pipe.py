@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
-from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.storage.calibration_file import load_calibration
 
 SCENE = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "calibration-a"
 

@@ -15,9 +15,9 @@ import pytest
 from annulus_pipe.calibrate.head import calibrate_head
 from annulus_pipe.calibrate.pipe import PipeCalibration, save_pipe
 from annulus_pipe.calibrate.pipe_picture import draw_pipe
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.report import Account, write
 from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.defects import Kind
 

@@ -17,7 +17,6 @@ import pytest
 from results_hash import results_hash
 from toil import Toil
 
-from annulus_pipe.record.storage import Place
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.report import Account, write
 from annulus_pipe.reprocess import Processes, Reprocessed, in_process, make_ready, open_job, reprocess
@@ -26,6 +25,7 @@ from annulus_pipe.reprocess.executors import Failed
 from annulus_pipe.reprocess.gather import gathered, in_ranges
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.ranges import FOLDER
+from annulus_pipe.storage.place import Place
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import Feature, clean_world

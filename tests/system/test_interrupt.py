@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.record.recording import open_recording
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.head import head_toml, start_head
 from annulus_pipe.twin.worlds import demo_world
 

@@ -27,12 +27,12 @@ from annulus_pipe.demo import REMARK, demo_config
 from annulus_pipe.job import JobSheet
 from annulus_pipe.link.client import Client
 from annulus_pipe.link.messages import StateFlag, Status
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.record.codec import Codec
-from annulus_pipe.record.origin import origin_of
 from annulus_pipe.record.recording import Recording, open_part, open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.reprocess.relabel import Audit, audit
+from annulus_pipe.scans.origin import origin_of
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.head import HeadHandle, start_head
 from annulus_pipe.twin.worlds import World, demo_world

@@ -6,6 +6,7 @@ import subprocess
 import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import Any
 
 import grimp
 import pytest
@@ -101,9 +102,24 @@ def test_the_map_names_no_room_that_is_not_there() -> None:
     assert not [room for room in named if not (ROOMS / room / "__init__.py").is_file()]
 
 
-def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
+def contracts() -> list[dict[str, Any]]:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    layers = next(c["layers"] for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    listed: list[dict[str, Any]] = config["tool"]["importlinter"]["contracts"]
+    return listed
+
+
+def layers_checked() -> list[str]:
+    return next(list(c["layers"]) for c in contracts() if c["type"] == "layers")
+
+
+def test_no_room_of_the_core_may_know_a_wing() -> None:
+    core = {name.strip() for layer in layers_checked() for name in re.split(r"[|:]", layer)}
+    forbidden = next(c for c in contracts() if c.get("forbidden_modules") == ["annulus_pipe.wings.*"])
+    assert set(forbidden["source_modules"]) == core
+
+
+def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
+    layers = layers_checked()
     floors = {
         name.strip().removeprefix("annulus_pipe."): len(layers) - 1 - i
         for i, layer in enumerate(layers)

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from annulus_pipe.job import WORDS, JobSheet, job_of, provenance, read_job, recorded_provenance
-from annulus_pipe.record.origin import origin_of
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.origin import origin_of
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.untrusted import printable
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -9,7 +9,7 @@ from annulus_pipe.numeric.arrays import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "build/manual-pictures"
-MADE_OF = ("twin", "rings", "wall", "report", "reprocess", "geometry", "record")
+MADE_OF = ("twin", "rings", "wall", "report", "reprocess", "geometry", "storage", "record", "scans")
 WIDTH = 832
 
 

@@ -16,7 +16,7 @@ from annulus_pipe.archive.ovality import MeanDiameter, Ovality, mean_diameter, o
 from annulus_pipe.archive.wall_map import WallMap, read_map
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, quoted, span
-from annulus_pipe.record.results_folder import Place
+from annulus_pipe.storage.results_folder import Place
 
 FORMAT = "annulus-growth/1"
 Progress = Callable[[str, int, int], None]

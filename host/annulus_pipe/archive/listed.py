@@ -16,7 +16,7 @@ from annulus_pipe.archive.floors import SHAPE, Floor
 from annulus_pipe.archive.growth import LEAST_MM, Change, Verdict
 from annulus_pipe.archive.ovality import Ovality
 from annulus_pipe.archive.wall_map import WallMap
-from annulus_pipe.record.results_folder import SUMMARY, Place, places, read_summary, unreadable
+from annulus_pipe.storage.results_folder import SUMMARY, Place, places, read_summary, unreadable
 
 SLACK_DEG = 5.0  # round, beside half an arc, by which two programs see a defect's middle otherwise
 OVAL, BUMP = "ovality", "bump"  # kinds, as a summary calls them

@@ -17,8 +17,8 @@ from annulus_pipe.calibrate.camera import CameraCalibration
 from annulus_pipe.geometry.calibration import camera_to_dict
 from annulus_pipe.geometry.seen_by_both import Moment, Placed, place_second
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.calibration_file import update_calibration
 from annulus_pipe.rings.calibration.bundle import Solution, turned_by
+from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 AGREES = 3.0  # sigma, of the worst of six numbers

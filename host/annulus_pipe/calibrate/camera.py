@@ -19,8 +19,8 @@ from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_
 from annulus_pipe.geometry.origin import AGREE, DICTIONARIES, from_colours, from_markers, read_markers
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.robust import robust_sigma
-from annulus_pipe.record.calibration_file import update_calibration
-from annulus_pipe.record.scan import read_image
+from annulus_pipe.scans.scan import read_image
+from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")

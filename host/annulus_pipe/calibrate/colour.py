@@ -5,11 +5,11 @@ from pathlib import Path
 
 from annulus_pipe.calibrate.sample import Progress, Sampled, sample
 from annulus_pipe.calibrate.wall import MeasuredWall, measure_wall
-from annulus_pipe.record.calibration_file import load_calibration
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.colour import ColourProfile, Stripes, learn, stripes
 from annulus_pipe.rings.diagnosis import Exposure, Trouble, exposure_findings
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES = 12  # are plenty: every one has thousands of stripe observations

@@ -26,13 +26,13 @@ from annulus_pipe.calibrate.pipe import (
 from annulus_pipe.calibrate.sample import Progress, projector_frames, sample
 from annulus_pipe.geometry.calibration import Calibration, HeadCamera, Vector, head_cameras_from_dict
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.calibration_file import load_part
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.autocalibration import calibrate
 from annulus_pipe.rings.calibration.bundle import Solution
 from annulus_pipe.rings.calibration.contours import Contours, Look
 from annulus_pipe.rings.calibration.cross_validation import hold_out
 from annulus_pipe.rings.calibration.observations import Observations, joined, observe
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_part
 from annulus_pipe.vocabulary import AnnulusError, first_few
 
 # Of the radius, rms: more is no head. 0.0009 of stereo-calib-a, 0.0011 of a pipe with pockets; 0.014 and 0.017 with

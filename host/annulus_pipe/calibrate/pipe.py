@@ -17,8 +17,6 @@ from annulus_pipe.geometry.calibration import Calibration, camera_alone, head_fr
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.record.calibration_file import load_part, update_calibration
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.autocalibration import calibrate, with_frame
 from annulus_pipe.rings.calibration.bundle import Solution
 from annulus_pipe.rings.calibration.contours import Contours, Look
@@ -27,6 +25,8 @@ from annulus_pipe.rings.calibration.cross_validation import Measured, hold_out
 from annulus_pipe.rings.calibration.observations import Observations, observe
 from annulus_pipe.rings.diagnosis import LOST_MOST, Exposure
 from annulus_pipe.rings.polar import ring_pixels
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_part, update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 # What is refused and what is found: test_pipe and topic calibrate_scene. What is only said (GOOD_*, WAVES, OTHER_*,

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annulus_pipe.calibrate.sample import Progress, sample
-from annulus_pipe.record.calibration_file import load_calibration
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.reference import Reference, learn
 from annulus_pipe.rings.diagnosis import Exposure, Trouble, exposure_findings
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.profile import Profile
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.scan import Scan
 from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 Progress = Callable[[str, int, int], None]  # stage, done, total

@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from annulus_pipe.record.calibration_file import update_calibration
 from annulus_pipe.rings.pattern import Pattern, preview
+from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 INCH_MM = 25.4

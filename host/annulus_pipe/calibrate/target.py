@@ -20,10 +20,10 @@ from annulus_pipe.geometry.chessboard import TargetView, find_target
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.intrinsics import TargetObservation, target_pose
 from annulus_pipe.numeric.arrays import FloatArray, Image
-from annulus_pipe.record.calibration_file import update_calibration
-from annulus_pipe.record.scan import Scan, open_scan
 from annulus_pipe.rings.calibration.contours import Contours, close_grid, follow, wide_grid
 from annulus_pipe.rings.calibration.target import TargetCones, TargetPoints, fit_cones, on_plane, vertex_order
+from annulus_pipe.scans.scan import Scan, open_scan
+from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 # By topic intrinsics (rings on drawn targets: angle, vertex) and test_target (a pair that moved); FEW only warns.

@@ -23,9 +23,9 @@ from annulus_pipe.calibrate.sample import Sampled
 from annulus_pipe.geometry.calibration import CAMERAS, Calibration
 from annulus_pipe.geometry.translucency import SHIFT_MAX_MM, slit_shift_mm, wall_to_dict
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.calibration_file import load_sections, update_calibration
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.reconstructor import RING_POINTS, Reconstructor
+from annulus_pipe.storage.calibration_file import load_sections, update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES_LEAST = 3  # of one ring, for its median to say what it scatters by; test_one_frame_is_too_few

@@ -253,7 +253,7 @@ def _print_table(answer: "Answer") -> None:
 
 def _write_parquet(answer: "Answer", path: Path) -> None:
     from annulus_pipe.extras import need
-    from annulus_pipe.record.whole import written_whole
+    from annulus_pipe.storage.whole import written_whole
 
     pq, rows = need("pyarrow.parquet"), 0
     try:

@@ -169,7 +169,7 @@ def colour(
     """
     from annulus_pipe.calibrate.colour import calibrate_colour
     from annulus_pipe.calibrate.wall import MeasuredWall, save_wall
-    from annulus_pipe.record.calibration_file import save_part
+    from annulus_pipe.storage.calibration_file import save_part
 
     with progress() as bars:
         learnt = calibrate_colour(
@@ -227,7 +227,7 @@ def reference(
     from math import degrees, hypot, isnan
 
     from annulus_pipe.calibrate.reference import calibrate_reference
-    from annulus_pipe.record.calibration_file import save_part
+    from annulus_pipe.storage.calibration_file import save_part
 
     with progress() as bars:
         learnt = calibrate_reference(scan, calibration, radius_mm=radius, progress=bars)
@@ -280,7 +280,7 @@ def target(
     """
     from annulus_pipe.calibrate.target import calibrate_target, save_target
     from annulus_pipe.geometry.calibration import camera_to_dict
-    from annulus_pipe.record.calibration_file import load_camera, load_sections
+    from annulus_pipe.storage.calibration_file import load_camera, load_sections
 
     lens, given = load_camera(camera), load_sections(camera)
     pattern = given.get("pattern")
@@ -358,7 +358,7 @@ def pipe(
     from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus_pipe.calibrate.pipe_picture import draw_pipe
     from annulus_pipe.geometry.calibration import several_cameras
-    from annulus_pipe.record.calibration_file import load_sections
+    from annulus_pipe.storage.calibration_file import load_sections
 
     with progress() as bars:
         if pattern == "slits" and several_cameras(load_sections(camera)):
@@ -410,81 +410,6 @@ def pipe(
     for warning in result.warnings:
         print(f"warning    {warning}")
     print(f"written    {out}, {picture}")
-
-
-@app.command(
-    "fringe",
-    epilog="Example: annulus calibrate fringe scans/reference --camera head-7.json --distance 100 -o head-7.json",
-)
-def fringe(
-    scan: Annotated[
-        Path,
-        typer.Argument(
-            help="Scan folder of a plain, flat plate (frames.csv has height_mm) or clean pipe (tx_mm, ty_mm)."
-        ),
-    ],
-    camera: Annotated[Path, typer.Option(help="File with the camera, or the cameras; a calibration.json will do.")],
-    design: Annotated[
-        Path | None,
-        typer.Option(
-            "--slide", help="calibration.json of `annulus pattern design --fringe`: rings. [default: the camera's file]"
-        ),
-    ] = None,
-    radius: Annotated[
-        float | None, typer.Option(min=1.0, max=5000.0, help="Of the clean pipe, inside, mm. [default: the file's]")
-    ] = None,
-    distance: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0, max=10000.0, help="First camera to the plate at height 0, mm. [default: the file's distance_mm]"
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
-        "calibration.json"
-    ),
-    as_json: Json = False,
-) -> None:
-    """A slide of fringes from a flat plate at two or more known heights: where its light comes from, period, waveform.
-
-    Stand a plain plate across the first camera's axis, one projector frame a camera at each height (towards the head is
-    positive); three heights or more, of uneven spacing, a few millimetres apart. Nothing need move.
-
-    A slide of rings: in a clean pipe of known radius, the head some millimetres aside (tx_mm right, ty_mm down), three
-    frames or more. It begins with the slide's design.
-    """
-    from annulus_pipe.record.calibration_file import projects_rings
-    from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
-    from annulus_pipe.wings.fringe.words import show_plate
-
-    if projects_rings(design or camera):
-        if distance is not None:
-            raise AnnulusError("--distance is of a plate, and the slide is one of rings for a pipe: leave it out")
-        _fringe_pipe(scan, camera, design, radius, out, as_json)
-        return
-    if design is not None or radius is not None:
-        raise AnnulusError("--slide and --radius are of a slide of rings, and the file has none")
-    with progress() as bars:
-        result = calibrate_fringe(scan, camera, distance_mm=distance, progress=bars)
-    save_fringe(result, out)
-    figures = result.to_dict()
-    if as_json:
-        print(json.dumps({**figures, "file": str(out)}))
-        return
-    show_plate(result, figures, out)
-
-
-def _fringe_pipe(scan: Path, camera: Path, slide: Path | None, radius: float | None, out: Path, as_json: bool) -> None:
-    from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe, save_fringe_pipe
-    from annulus_pipe.wings.fringe.words import show_pipe
-
-    with progress() as bars:
-        result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius, progress=bars)
-    save_fringe_pipe(result, out)
-    figures = result.to_dict()
-    if as_json:
-        print(json.dumps({**figures, "file": str(out)}))
-    else:
-        show_pipe(result, figures, out)
 
 
 def _field(text: str) -> tuple[int, int, int, int]:

@@ -154,7 +154,7 @@ def export_command(
             copied = copy(recording, out, codec=None if codec is None else Codec(codec), progress=bars)
             frames, without_place, damaged = copied.frames, 0, copied.damaged
         else:
-            from annulus_pipe.record.folder import export_folder
+            from annulus_pipe.scans.folder import export_folder
 
             exported = export_folder(recording, out, form or "png", bars)
             frames, without_place, damaged = exported.frames, exported.without_place, exported.damaged
@@ -209,7 +209,7 @@ def import_command(
     Pictures of a folder are counted from 0 in the order of their names; 9 comes before 10. Ends with status 1 where the
     video ends before it says.
     """
-    from annulus_pipe.record.video import UNITS_MM, import_video, read_chainage
+    from annulus_pipe.scans.video import UNITS_MM, import_video, read_chainage
 
     if (chainage is None) == (speed is None):
         raise AnnulusError("where were the frames? Expected either --chainage CSV or --speed MM_PER_S.")

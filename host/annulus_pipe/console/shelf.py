@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe import untrusted
+from annulus_pipe.console.glance import glance
 from annulus_pipe.job import JobSheet, provenance, read_job
-from annulus_pipe.record.glance import glance
-from annulus_pipe.record.numbers import require_cells
 from annulus_pipe.record.parts import grouped
-from annulus_pipe.record.scan import TABLE
+from annulus_pipe.scans.scan import TABLE
+from annulus_pipe.storage.numbers import require_cells
 from annulus_pipe.vocabulary import AnnulusError
 
 ENTRIES_MAX = 1000

@@ -36,11 +36,11 @@ def _open(wanted: CameraConfig, number: int) -> Camera:
             size = {"width": wanted.width, "height": wanted.height}
             return V4L2Camera(wanted.device, fourcc=wanted.format, **size, fps=fps, timeout_s=FRAME_WAIT_S)
         case "video":
-            from annulus_pipe.record.replay import VideoFileCamera  # here: an intake that takes over has no time for it
+            from annulus_pipe.daemon.filmed import VideoFileCamera  # here: an intake that takes over has no time for it
 
             return VideoFileCamera(Path(wanted.device))
         case "folder":
-            from annulus_pipe.record.replay import ScanFolderCamera
+            from annulus_pipe.daemon.filmed import ScanFolderCamera
 
             return ScanFolderCamera(Path(wanted.device), fps=fps, camera=number)
         case "remote":

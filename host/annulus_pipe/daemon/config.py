@@ -12,13 +12,13 @@ from annulus_pipe.daemon.camera_config import CAMERA_KINDS, CameraConfig, Camera
 from annulus_pipe.daemon.wiring import check_triggers, inverted_pins, trigger_of
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.job import WORDS, JobSheet, provenance
-from annulus_pipe.record.calibration_file import load_calibration, load_part, load_sections
 from annulus_pipe.record.codec import DEFAULT, Codec
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.sensors.chips import CHIPS
 from annulus_pipe.sensors.i2c import bus_number
 from annulus_pipe.sensors.odometer import MAX_SPEED_MM_S
 from annulus_pipe.sensors.remote import NAME
+from annulus_pipe.storage.calibration_file import load_calibration, load_part, load_sections
 from annulus_pipe.stream.access import Keys, curve_pair
 from annulus_pipe.stream.frames import CAMERAS_MAX
 from annulus_pipe.untrusted import TOML_MAX, parse_toml, read_file, shown

@@ -25,12 +25,12 @@ from annulus_pipe.daemon.health import Health
 from annulus_pipe.daemon.intake import RESERVE, InSlot
 from annulus_pipe.daemon.observer import Commanded, Mark, Observer
 from annulus_pipe.daemon.reorder import ReorderBuffer
+from annulus_pipe.daemon.rotation import Bounds
 from annulus_pipe.daemon.state import State
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.job import JobSheet
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import DEFAULT, Codec
-from annulus_pipe.record.rotation import Bounds
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.stream.frames import FrameHeader

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.daemon.priority import RECORDER_LEVEL, raise_process, share_priority
+from annulus_pipe.daemon.rotation import UNBOUNDED, Bounds, RotatingWriter
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import DEFAULT, Codec
 from annulus_pipe.record.parts import Part
-from annulus_pipe.record.rotation import UNBOUNDED, Bounds, RotatingWriter
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.stream.frames import CAMERAS_MAX, FrameHeader
 from annulus_pipe.stream.working import serve

@@ -21,10 +21,10 @@ from annulus_pipe.daemon.intake import InSlot, Intake
 from annulus_pipe.daemon.observer import Observers
 from annulus_pipe.daemon.pools import Recorder, RecordingSetup
 from annulus_pipe.daemon.power import Power
+from annulus_pipe.daemon.rotation import Bounds
 from annulus_pipe.labelling.labelling import Labelling
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.link.phase import Phase
-from annulus_pipe.record.rotation import Bounds
 from annulus_pipe.stream.frames import FrameHeader
 
 START_S = 200.0  # on a fresh machine workers compile first

@@ -7,7 +7,7 @@ import numpy as np
 
 from annulus_pipe.export.results import Results
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.results_folder import MM_MAX
+from annulus_pipe.storage.results_folder import MM_MAX
 from annulus_pipe.untrusted import mapping, number, numbers, one_line
 from annulus_pipe.vocabulary import AnnulusError
 

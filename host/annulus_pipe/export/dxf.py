@@ -19,7 +19,7 @@ from annulus_pipe.export.stations import radii_of_stations
 from annulus_pipe.export.tally import clock_time
 from annulus_pipe.extras import need
 from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, digits, quoted, span
-from annulus_pipe.record.results_folder import Place
+from annulus_pipe.storage.results_folder import Place
 
 OUTLINES_MAX = 120  # stations drawn: evenly chosen, for a CAD program's sake
 LABEL = 0.024  # height of a text, of the circumference

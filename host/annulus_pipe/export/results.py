@@ -15,7 +15,7 @@ import numpy as np
 from annulus_pipe.export.ply import Ply, open_ply
 from annulus_pipe.export.wall_map import WallMap, read_wall
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.results_folder import (
+from annulus_pipe.storage.results_folder import (
     JSON_MAX,
     MM_MAX,
     PLACES_MAX,

@@ -27,7 +27,7 @@ from annulus_pipe.numeric.rounding import (
     digits_k2,
     quoted,
 )
-from annulus_pipe.record.results_folder import Place
+from annulus_pipe.storage.results_folder import Place
 
 EDITION = (
     "Pipeline Operators Forum, Specifications and requirements for in-line inspection of pipelines, edition 2016, "

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.arrays import require_plain_npz
+from annulus_pipe.storage.arrays import require_plain_npz
 from annulus_pipe.untrusted import within
 
 FORMAT = "annulus-wall/1"

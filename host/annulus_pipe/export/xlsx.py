@@ -11,7 +11,7 @@ from annulus_pipe.export.tally import COLUMNS, EDITION, OURS, POF, Cell, clock_t
 from annulus_pipe.extras import need
 from annulus_pipe.job import WORDS
 from annulus_pipe.numeric.rounding import DISTANCE, span
-from annulus_pipe.record.results_folder import STATION_COLUMNS
+from annulus_pipe.storage.results_folder import STATION_COLUMNS
 
 COUNTERS = {  # of a recording, for who mends the head
     f"controller.{name}" for name in ("boot", "epoch", "level", "nonce", "configuration_crc", "schema", "protocol")

@@ -1,5 +1,4 @@
-"""What outlives the process: recordings, scan folders, calibrations and raw sound, read and written whole.
+"""Recordings: one scan in an MCAP file or in parts of it, written so that a kill costs the last moments only.
 
-One frame type for whatever a scan came from (scan.py), and one form for each file (README.md). Everything made before
-still reads: tests/unit/record/test_made_before.py. Knows no method.
+The form is in README.md. Everything made before still reads: tests/unit/scans/test_made_before.py. Knows no method.
 """

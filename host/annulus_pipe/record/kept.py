@@ -18,9 +18,9 @@ from annulus_pipe import untrusted
 from annulus_pipe.record.frames import FRAME_TOPIC, LABEL_TOPIC
 from annulus_pipe.record.index import VERSION, blocks_of, pack, unpack
 from annulus_pipe.record.indexed import TAIL, Indexed
-from annulus_pipe.record.remote import Told, Url
-from annulus_pipe.record.storage import Place, Where, read_whole
 from annulus_pipe.record.walk import ATTACHMENT_MAX, DAMAGE_MAX, Damage, Walk, piece
+from annulus_pipe.storage.place import Place, Where, read_whole
+from annulus_pipe.storage.remote import Told, Url
 from annulus_pipe.vocabulary import AnnulusError
 
 KEEP_S = 2.0  # a walk over a local file that takes longer is kept; every one over a store

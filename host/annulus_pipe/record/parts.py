@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.record.remote import Told, Url, listed, stat_remote
-from annulus_pipe.record.storage import Where, opened_file
+from annulus_pipe.storage.place import Where, opened_file
+from annulus_pipe.storage.remote import Told, Url, listed, stat_remote
 from annulus_pipe.vocabulary import AnnulusError
 
 PART_FILE = "part.json"

@@ -13,7 +13,8 @@ it is walked over, stepping over images, and where that takes long the walk is k
 checksum is looked at when something in it is read, so an image that comes out is what was written, and its label what
 its own chunk says; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
 
-A recording may lie in a store: its path is a URL then (storage.py). It is a plain value, and opens its file itself.
+A recording may lie in a store (storage/place.py): its path is a URL then. It is a plain value, and opens its file
+itself.
 """
 
 import contextlib
@@ -52,9 +53,9 @@ from annulus_pipe.record.indexed import HEAD, Indexed, read_index
 from annulus_pipe.record.kept import is_kept, keep, kept_walk, stamp_of
 from annulus_pipe.record.one_scan import check_clock, check_one_scan
 from annulus_pipe.record.parts import PART_FILE, Part, later_parts, part_of
-from annulus_pipe.record.remote import RemoteFile, Told, UnreachableError, Url, remote_file
-from annulus_pipe.record.storage import Where, opened_file, where
 from annulus_pipe.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
+from annulus_pipe.storage.place import Where, opened_file, where
+from annulus_pipe.storage.remote import RemoteFile, Told, UnreachableError, Url, remote_file
 from annulus_pipe.stream.frames import CHANNELS, SIDE_MAX
 from annulus_pipe.vocabulary import AnnulusError
 

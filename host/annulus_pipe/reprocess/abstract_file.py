@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.record.arrays import require_plain_npz
+from annulus_pipe.storage.arrays import require_plain_npz
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.joined import Abstract
 

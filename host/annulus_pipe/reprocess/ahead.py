@@ -28,9 +28,9 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric import compiling
 from annulus_pipe.numeric.telling import telling
-from annulus_pipe.record.scan import ScanFrame
 from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.reprocess.warmup import warmup_frame
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall import survey
 from annulus_pipe.wall.profile import Profile

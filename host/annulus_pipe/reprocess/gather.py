@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess.engine import Progress, Reprocessed, Seen, account, decisions
 from annulus_pipe.reprocess.executors import Executor, Failed
 from annulus_pipe.reprocess.job import Job, stage_medians
 from annulus_pipe.reprocess.ranges import CHUNKS, Facts, clear, measure_ranges, profiles_of
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import Finding
 
 LEFT_OUT, PROCESSORS = "left-out", "processors"  # kinds of finding

@@ -8,14 +8,14 @@ import numpy as np
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.calibration_file import load_calibration, load_part
-from annulus_pipe.record.scan import Scan, ScanFrame, open_scan
-from annulus_pipe.record.storage import Where, where
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.method import Method, method_for
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.scans.scan import Scan, ScanFrame, open_scan
+from annulus_pipe.storage.calibration_file import load_calibration, load_part
+from annulus_pipe.storage.place import Where, where
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall.gyro import Turns
 from annulus_pipe.wall.profile import Profile

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from itertools import islice
 
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import Scan
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.wall.optics import Optics, Prior
 
 TOPIC, TEMPERATURE = "/sensor/", "temperature_c"

@@ -9,9 +9,9 @@ from annulus_pipe.numeric.rounding import DISTANCE, off, quoted, span
 from annulus_pipe.record.copy import missing_of
 from annulus_pipe.record.frames import Z_MAX_MM
 from annulus_pipe.record.missing import missing_told
-from annulus_pipe.record.scan import Scan, ScanFrame
-from annulus_pipe.record.storage import Where
 from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.scans.scan import Scan, ScanFrame
+from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 
 LINES_MAX = 3  # of what a recording lacks, in one finding

@@ -20,8 +20,6 @@ from typing import Any
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.record.frames import RecordedFrame
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import FRAME_MAX, Scan
-from annulus_pipe.record.storage import Place, Where, read_whole
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.ahead import make_ready_beside
 from annulus_pipe.reprocess.executors import Executor, Failed
@@ -30,7 +28,9 @@ from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.reprocess.profile_file import packed, unpacked
 from annulus_pipe.reprocess.versions import address, measured_with, processor
 from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.scans.scan import FRAME_MAX, Scan
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
+from annulus_pipe.storage.place import Place, Where, read_whole
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.windows import Reach

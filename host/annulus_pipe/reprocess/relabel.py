@@ -20,11 +20,11 @@ from annulus_pipe.labelling.replay import PATIENCE_NS, Replay
 from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.copy import Copied, clock_of, copy, missing_of
 from annulus_pipe.record.frames import RecordedFrame, frame_name
-from annulus_pipe.record.marks import read_marks
 from annulus_pipe.record.missing import RELABELLED, missing_note, missing_told
-from annulus_pipe.record.origin import job_told
 from annulus_pipe.record.recording import Recording, open_recording
 from annulus_pipe.reprocess.evidence import TOPIC, Evidence, Hole
+from annulus_pipe.scans.marks import read_marks
+from annulus_pipe.scans.origin import job_told
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
 

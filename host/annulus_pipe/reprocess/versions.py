@@ -15,7 +15,19 @@ from typing import Any
 
 import numpy as np
 
-ROOMS = ("numeric", "geometry", "wall", "rings", "stereo", "stream", "capture", "record", "reprocess")
+ROOMS = (
+    "numeric",
+    "geometry",
+    "wall",
+    "rings",
+    "stereo",
+    "stream",
+    "capture",
+    "storage",
+    "record",
+    "scans",
+    "reprocess",
+)
 FILES = ("vocabulary.py", "untrusted.py")  # beside the rooms
 PACKAGES = ("numpy", "cv2", "scipy", "numba", "llvmlite", "zstandard")
 
@@ -59,6 +71,12 @@ def made_with() -> Mapping[str, str]:
 def _sources() -> str:
     root = Path(str(resources.files("annulus_pipe")))
     return _digest(root, [root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")])
+
+
+def digest_of(folder: str) -> str:
+    """Of the sources in a folder of the package: what a wing measures with."""
+    root = Path(str(resources.files("annulus_pipe")))
+    return _digest(root, (root / folder).rglob("*.py"))
 
 
 def _digest(root: Path, paths: Iterable[Path]) -> str:

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from annulus_pipe.numeric.rounding import DISTANCE, quoted, span
-from annulus_pipe.record.scan import Scan
 from annulus_pipe.reprocess.abstract_file import packed, unpacked
 from annulus_pipe.reprocess.engine import LedFrames, Progress
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
 from annulus_pipe.reprocess.job import Job, turns_of
 from annulus_pipe.reprocess.ranges import identity, part_of, without_frames
 from annulus_pipe.reprocess.versions import address, made_with
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wall import survey
 from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from annulus_pipe.export.forms import _in_place
-from annulus_pipe.record.calibration_file import save_part
-from annulus_pipe.record.storage import Place, writer
-from annulus_pipe.record.whole import written_whole
 from annulus_pipe.report.results import staged
+from annulus_pipe.storage.calibration_file import save_part
+from annulus_pipe.storage.place import Place, writer
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
 

@@ -22,10 +22,10 @@ from annulus_pipe.job import JobSheet
 from annulus_pipe.labelling.evidence import Row
 from annulus_pipe.record.frames import place_of
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.reprocess.places import incomplete_findings
 from annulus_pipe.reprocess.relabel import relabel
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.sensors.odometer import ANYWHERE_MM
 from annulus_pipe.vocabulary import Label
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.record.scan import open_scan
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError
 
 

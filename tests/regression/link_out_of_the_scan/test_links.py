@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.record.scan import open_scan
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError
 
 

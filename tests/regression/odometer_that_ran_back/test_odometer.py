@@ -5,9 +5,9 @@ map with two places of the pipe on one, and nothing was said. Fails without `run
 import numpy as np
 import pytest
 
-from annulus_pipe.record.scan import ScanFrame
 from annulus_pipe.reprocess.places import doubled_findings, running_back_findings
 from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.vocabulary import Label
 
 

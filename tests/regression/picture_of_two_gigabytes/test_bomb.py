@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.record.scan import read_image
+from annulus_pipe.scans.scan import read_image
 from annulus_pipe.vocabulary import AnnulusError
 
 SIDE = 12_000

@@ -11,7 +11,7 @@ import pytest
 
 from annulus_pipe import reprocess
 from annulus_pipe.cli import main
-from annulus_pipe.record.calibration_file import save_calibration
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.worlds.pipes import demo_world
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from annulus_pipe.capture.camera import grab
-from annulus_pipe.record.replay import ScanFolderCamera
+from annulus_pipe.daemon.filmed import ScanFolderCamera
 
 
 def test_frames_keep_their_index_their_time_and_their_roll(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ import pytest
 from annulus_pipe.archive.catalogue.survey import read_survey
 from annulus_pipe.console.shelf import _rows
 from annulus_pipe.export.results import open_results
-from annulus_pipe.record.imu import read_motion
-from annulus_pipe.record.scan import read_table
-from annulus_pipe.record.video import read_chainage
+from annulus_pipe.scans.imu import read_motion
+from annulus_pipe.scans.scan import read_table
+from annulus_pipe.scans.video import read_chainage
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.log_file import read_bore_log
 from annulus_pipe.wings.joints.strength_file import read_results, read_strengths, read_transmission

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.capture.camera import grab
-from annulus_pipe.record.replay import ScanFolderCamera
+from annulus_pipe.daemon.filmed import ScanFolderCamera
 from annulus_pipe.vocabulary import AnnulusError
 
 

@@ -11,9 +11,9 @@ import pytest
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
-from annulus_pipe.record.scan import open_scan
-from annulus_pipe.record.video import import_video
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.scans.video import import_video
 from annulus_pipe.wall import survey
 
 STORED, SQUARE, FRAMES = (352, 288), (396, 288), 8  # of pixels 9:8 wide

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.record.fields import combed
-from annulus_pipe.record.video import _square, import_video, read_chainage
+from annulus_pipe.scans.fields import combed
+from annulus_pipe.scans.video import _square, import_video, read_chainage
 from annulus_pipe.vocabulary import AnnulusError
 
 

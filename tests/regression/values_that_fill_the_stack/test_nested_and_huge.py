@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from annulus_pipe.daemon.config import load_config
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.decode import load_template
 

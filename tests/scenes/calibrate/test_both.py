@@ -20,10 +20,10 @@ from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_
 from annulus_pipe.geometry.origin import from_colours
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.geometry.seen_by_both import Moment, Placed, place_second
-from annulus_pipe.record.calibration_file import load_sections, update_calibration
-from annulus_pipe.record.scan import read_image
 from annulus_pipe.rings.calibration.bundle import Solution
 from annulus_pipe.rings.calibration.observations import Placement
+from annulus_pipe.scans.scan import read_image
+from annulus_pipe.storage.calibration_file import load_sections, update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"

@@ -13,7 +13,7 @@ from annulus_pipe.calibrate.camera import CameraCalibration, calibrate_camera, i
 from annulus_pipe.cli.calibrate import app
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.chessboard import find_target
-from annulus_pipe.record.calibration_file import load_camera, update_calibration
+from annulus_pipe.storage.calibration_file import load_camera, update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"

@@ -11,8 +11,8 @@ from line_heads import ONE_RING, PLANE, TWO_RINGS, head, picture
 from annulus_pipe.calibrate.pipe import LINES_REMARK, calibrate_pipe, save_pipe
 from annulus_pipe.geometry.calibration import camera_to_dict
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World
 

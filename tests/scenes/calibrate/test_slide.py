@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe.cli.pattern import app
-from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 GIVEN = [

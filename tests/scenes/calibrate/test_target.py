@@ -8,7 +8,7 @@ from ringed_targets import COLOURS, cones, write_scan
 from annulus_pipe.calibrate.target import calibrate_target, save_target
 from annulus_pipe.geometry.calibration import camera_to_dict
 from annulus_pipe.geometry.camera import Camera
-from annulus_pipe.record.calibration_file import load_calibration
+from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 CAMERA = Camera("pinhole", 624, 462, 176.0, 176.0, 314.0, 229.0)

@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 
 from annulus_pipe.calibrate.sample import sample
 from annulus_pipe.calibrate.wall import measure_wall
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.geometry.translucency import slit_shift_mm
-from annulus_pipe.record.calibration_file import load_calibration, save_calibration
 from annulus_pipe.record.codec import to_bgr
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_calibration, save_calibration
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.twin.worlds import World, clean_world, translucent

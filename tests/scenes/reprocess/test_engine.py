@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.reprocess import Job, Processes, in_process, measure, method_for, open_job, reprocess, survey_of
 from annulus_pipe.reprocess.engine import CHUNK
 from annulus_pipe.reprocess.job import Measured
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import Feature, World, clean_world

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from line_heads import ONE_RING, head, picture
 
-from annulus_pipe.record.calibration_file import save_calibration
-from annulus_pipe.record.video import Chainage, import_video
 from annulus_pipe.reprocess import survey_of
+from annulus_pipe.scans.video import Chainage, import_video
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.worlds.features import Feature
 from annulus_pipe.wall.defects import Kind
 
-pytestmark = pytest.mark.deep(gate="tests/unit/record/test_video.py::test_a_video_becomes_a_scan_of_the_same_pictures")
+pytestmark = pytest.mark.deep(gate="tests/unit/scans/test_video.py::test_a_video_becomes_a_scan_of_the_same_pictures")
 
 FRAMES, STEP_MM, OVAL_MM = 16, 4.0, 3.05
 

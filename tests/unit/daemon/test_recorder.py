@@ -11,9 +11,9 @@ import pytest
 
 from annulus_pipe.daemon import recorder
 from annulus_pipe.daemon.recorder import RecorderJob
+from annulus_pipe.daemon.rotation import Bounds
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.recording import open_recording
-from annulus_pipe.record.rotation import Bounds
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
 

@@ -15,11 +15,11 @@ from annulus_pipe.cli import main
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import Codec, to_bgr
 from annulus_pipe.record.copy import clock_of, copy, recover
-from annulus_pipe.record.folder import export_folder
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.record.scan import open_scan
-from annulus_pipe.record.video import import_video, read_chainage
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.folder import export_folder
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.scans.video import import_video, read_chainage
 from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES, H, W = 12, 48, 64

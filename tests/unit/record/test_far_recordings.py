@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record import remote
 from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.frames import RecordedFrame
 from annulus_pipe.record.parts import Part
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.record.remote import Patience
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage import remote
+from annulus_pipe.storage.remote import Patience
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus_pipe.record import rotation
+from annulus_pipe.daemon import rotation
+from annulus_pipe.daemon.rotation import Bounds, RotatingWriter
 from annulus_pipe.record.parts import Part, first_paths, later_paths, part_of, part_path
 from annulus_pipe.record.recording import Recording, open_part, open_recording
-from annulus_pipe.record.rotation import Bounds, RotatingWriter
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError
 
 H, W = 48, 64
@@ -77,7 +77,7 @@ def test_a_scan_in_parts_is_read_as_one_given_the_first_or_the_folder(tmp_path: 
 def open_scan_uncalibrated(path: Path) -> Any:
     """CALIBRATION is none that a method could use."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("annulus_pipe.record.scan.Calibration.from_dict", lambda data: None)
+        patch.setattr("annulus_pipe.scans.scan.Calibration.from_dict", lambda data: None)
         return open_scan(path)
 
 

@@ -28,9 +28,9 @@ from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import Codec, to_bgr
 from annulus_pipe.record.frames import from_json, to_json
 from annulus_pipe.record.recording import open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.viewers import preview
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 H, W = 48, 64

@@ -9,8 +9,8 @@ import pytest
 from synthetic_pipe import CALIBRATION
 
 from annulus_pipe.cli import main
-from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES = 20

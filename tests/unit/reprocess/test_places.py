@@ -1,7 +1,7 @@
 """Promises about places that nobody counted: they are said, never merged in silence."""
 
-from annulus_pipe.record.scan import ScanFrame
 from annulus_pipe.reprocess.places import place_findings
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.vocabulary import Label
 
 

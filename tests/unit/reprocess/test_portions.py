@@ -9,14 +9,14 @@ import pytest
 
 from annulus_pipe.geometry.drift import Drift
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.record.scan import Scan, ScanFrame
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess import Processes, whole
 from annulus_pipe.reprocess.cluster import Dask, packed
 from annulus_pipe.reprocess.ranges import Facts
 from annulus_pipe.reprocess.whole import Filed
 from annulus_pipe.reprocess.windows import Portion, Portions, WindowWork
 from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.scans.scan import Scan, ScanFrame
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall.scale import AbsoluteScale
 from annulus_pipe.wall.windows import Plan, Window

@@ -10,8 +10,8 @@ import pytest
 
 from annulus_pipe.cli.results import Told, WindowFiles, write_results
 from annulus_pipe.job import Observation, Origin
-from annulus_pipe.record.storage import Place
 from annulus_pipe.reprocess import Executor, Processes, Surveyed, in_process, open_job, surveyed
+from annulus_pipe.storage.place import Place
 from annulus_pipe.wall.joined import Joined
 from tools.bench.speed.long_scan import STEP_MM, drawn_scan
 

@@ -7,9 +7,9 @@ import pytest
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.record.codec import to_bgr
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import score_cloud
 from annulus_pipe.twin.worlds import Feature, World, clean_world

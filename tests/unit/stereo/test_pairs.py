@@ -10,8 +10,8 @@ from drawn_head import RADIUS_MM, draw, head
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.record.calibration_file import load_calibration, save_calibration
 from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.storage.calibration_file import load_calibration, save_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 POSES = [Pose(0.01, 0.0, -8.0, -7.0), Pose(0.0, -0.02, -9.0, -8.0)]

@@ -9,8 +9,8 @@ import pytest
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.record.codec import to_bgr
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import world_named, write_scan
 from annulus_pipe.twin.score import score_cloud

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.record.scan import open_scan
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import world_named, write_scan
 from annulus_pipe.twin.worlds import World, stereo_world

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from annulus_pipe.cli.limits_file import load_limits
 from annulus_pipe.job import WORDS, JobSheet
-from annulus_pipe.record.limits_file import load_limits
 from annulus_pipe.untrusted import parse_toml
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import QUANTITIES, Criteria, Decision, decide, judge

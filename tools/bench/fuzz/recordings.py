@@ -14,8 +14,8 @@ import zstandard
 from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.frames import FRAME_TOPIC, LABEL_TOPIC
 from annulus_pipe.record.recording import open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_values

@@ -24,16 +24,16 @@ from annulus_pipe.archive.wall_map import read_map
 from annulus_pipe.calibrate.both import placement_from_dict
 from annulus_pipe.daemon.config import load_config
 from annulus_pipe.daemon.control import REQUEST_MAX, Request
+from annulus_pipe.daemon.filmed import ScanFolderCamera
 from annulus_pipe.link import codec, messages
 from annulus_pipe.link.fields import Message
 from annulus_pipe.link.head import HeadControl
 from annulus_pipe.link.stage import stage_from_us
-from annulus_pipe.record.calibration_file import load_calibration, load_camera, load_part
-from annulus_pipe.record.replay import ScanFolderCamera
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.storage.calibration_file import load_calibration, load_camera, load_part
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.testing.scripted import ScriptedController
 from annulus_pipe.vocabulary import AnnulusError

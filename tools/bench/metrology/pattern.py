@@ -13,9 +13,9 @@ import numpy as np
 from annulus_pipe.calibrate.slide import write_design
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.record.calibration_file import load_calibration
 from annulus_pipe.rings.pattern import Head, design, stripe_colours
 from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.storage.calibration_file import load_calibration
 from tests.unit.rings.drawn import draw
 from tools.bench.metrology import TABLE
 from tools.bench.table import Row

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from annulus_pipe.record.limits_file import load_limits
+from annulus_pipe.cli.limits_file import load_limits
 from annulus_pipe.report import Account, write
 from annulus_pipe.reprocess import method_for, open_job, reprocess, warm_up
 from annulus_pipe.wall.conformity import judge

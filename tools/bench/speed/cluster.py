@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.record.storage import Place
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.reprocess import Executor, Processes, in_process, make_ready, measure, open_job
 from annulus_pipe.reprocess.cluster import Dask, packed
@@ -26,6 +25,7 @@ from annulus_pipe.reprocess.executors import Failed
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
 from annulus_pipe.reprocess.versions import measured_with
+from annulus_pipe.storage.place import Place
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import clean_world
@@ -36,7 +36,7 @@ from tools.bench.table import ROOT, Row
 TASKS, TASK_MS = 500, 10.0
 DRAWN, TIMES = 16, 32  # pictures, and how often each is in the scan
 CHUNKS = 16  # of a range: 128 flashes, as everywhere
-READ_MB = 16.0  # of a request at most, record/remote.py
+READ_MB = 16.0  # of a request at most, storage/remote.py
 AGAIN = 2  # runs, of which the least counts: another's work in the caches costs the same run a tenth more
 OVERHEAD = 0.10  # of the serial run's processor
 NOTE = (

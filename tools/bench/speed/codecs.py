@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.recording import open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.viewers import preview
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.report import Account, write
 from annulus_pipe.reprocess import Processes, open_job, reprocess
+from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import score_cloud, score_defects

@@ -22,8 +22,8 @@ import zmq
 from annulus_pipe.daemon.control import ControlClient
 from annulus_pipe.daemon.ledger import Status
 from annulus_pipe.daemon.state import State
-from annulus_pipe.record.calibration_file import save_calibration
 from annulus_pipe.record.recording import open_recording
+from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.stream.publish import parse
 from annulus_pipe.twin.head import HeadHandle, head_toml, start_head
 from annulus_pipe.twin.worlds.world import World

@@ -26,8 +26,8 @@ import numpy as np
 from annulus_pipe.archive.catalogue.columns import TABLES, Column
 from annulus_pipe.archive.catalogue.survey import Row, SurveyRecord, digest
 from annulus_pipe.extras import need
-from annulus_pipe.record.results_folder import STATIONS_MAX
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.results_folder import STATIONS_MAX
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.untrusted import mapping, one_line, parse_json, read_file, shown
 from annulus_pipe.vocabulary import AnnulusError
 

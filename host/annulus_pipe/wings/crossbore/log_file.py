@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.numbers import require_cells
-from annulus_pipe.record.storage import opened_file
+from annulus_pipe.storage.numbers import require_cells
+from annulus_pipe.storage.place import opened_file
 from annulus_pipe.untrusted import shown
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.geometry.calibration import STILL, camera_to_dict
-from annulus_pipe.record.calibration_file import load_part, load_sections, update_calibration
-from annulus_pipe.record.scan import open_scan
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_part, load_sections, update_calibration
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wings.fringe.measure import (
     FringeHead,

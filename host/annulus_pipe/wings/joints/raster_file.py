@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.arrays import require_plain_npz
-from annulus_pipe.record.numbers import read_bounded
+from annulus_pipe.storage.arrays import require_plain_npz
+from annulus_pipe.storage.numbers import read_bounded
 from annulus_pipe.untrusted import mapping, parse_json, shown
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.strength_file import read_features

@@ -19,8 +19,8 @@ from typing import IO, Any, Self
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.numbers import read_bounded
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.numbers import read_bounded
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.untrusted import mapping, parse_json, shown
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.raster_file import BYTES_MAX, CHANNELS

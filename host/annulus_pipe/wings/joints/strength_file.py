@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.record.numbers import number as parsed
-from annulus_pipe.record.numbers import read_bounded, require_cells
+from annulus_pipe.storage.numbers import number as parsed
+from annulus_pipe.storage.numbers import read_bounded, require_cells
 from annulus_pipe.untrusted import mapping, parse_json, shown
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.extras import need
-from annulus_pipe.record.arrays import require_plain_hdf5, require_plain_npz
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.arrays import require_plain_hdf5, require_plain_npz
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
 
 POSITIONS_MAX, SAMPLES_MAX, VALUES_MAX = 8192, 1 << 22, 1 << 29

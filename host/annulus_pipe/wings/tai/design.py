@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.link.codes import pattern
-from annulus_pipe.record.numbers import read_bounded, require_cells
+from annulus_pipe.storage.numbers import read_bounded, require_cells
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.decode import code_name, save_template, template_to_dict
 from annulus_pipe.wings.tai.measure.templates import Method, Template, Transducer, design

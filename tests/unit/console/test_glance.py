@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from annulus_pipe.console.glance import glance
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import Codec
-from annulus_pipe.record.glance import glance
 from annulus_pipe.record.parts import Part, part_path
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.vocabulary import AnnulusError
@@ -79,7 +79,7 @@ def test_parts_are_one_scan_and_a_missing_one_is_seen(tmp_path: Path) -> None:
 
 
 def test_what_it_reads_does_not_grow_with_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import annulus_pipe.record.glance as room
+    import annulus_pipe.console.glance as room
 
     monkeypatch.setattr(room, "HEAD", 1 << 18)
     monkeypatch.setattr(room, "TAIL", 1 << 18)

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.record.marks import MARKS_MAX, SHOWN_PX, observations_of, read_marks
 from annulus_pipe.record.parts import Part
 from annulus_pipe.record.recording import open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.reprocess.relabel import identity
+from annulus_pipe.scans.marks import MARKS_MAX, SHOWN_PX, observations_of, read_marks
+from annulus_pipe.scans.scan import open_scan
 
 H, W = 48, 64
 NOTHING = {"host_ns": 1, "z_mm": 5.0, "text": "a", "clock_deg": None}

@@ -8,7 +8,7 @@ import pytest
 
 from annulus_pipe.capture.camera import EndOfFrames, grab
 from annulus_pipe.capture.picamera import plug
-from annulus_pipe.record.replay import ScanFolderCamera, VideoFileCamera
+from annulus_pipe.daemon.filmed import ScanFolderCamera, VideoFileCamera
 from annulus_pipe.vocabulary import AnnulusError
 
 

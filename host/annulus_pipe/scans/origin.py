@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.job import JobSheet, Origin, parse_job, provenance, read_job, recorded_provenance
-from annulus_pipe.record.calibration_file import load_sections
 from annulus_pipe.record.frames import IDENTITY
-from annulus_pipe.record.marks import observations_of
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import Scan
-from annulus_pipe.record.storage import Where, read_whole
+from annulus_pipe.scans.marks import observations_of
+from annulus_pipe.scans.scan import Scan
+from annulus_pipe.storage.calibration_file import load_sections
+from annulus_pipe.storage.place import Where, read_whole
 from annulus_pipe.untrusted import TOML_MAX, printable
 from annulus_pipe.vocabulary import AnnulusError
 

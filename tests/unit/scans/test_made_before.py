@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.record.calibration_file import load_calibration, load_part
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.record.scan import open_scan
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.storage.calibration_file import load_calibration, load_part
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wings.tai.acoustic_file import load_acoustic

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.record.scan import open_scan
-from annulus_pipe.record.video import Chainage, Imported, import_video, read_chainage
+from annulus_pipe.scans.scan import open_scan
+from annulus_pipe.scans.video import Chainage, Imported, import_video, read_chainage
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 FRAMES, WIDTH, HEIGHT = 12, 64, 48
@@ -180,7 +180,7 @@ def test_what_is_no_video_is_one_line(video: Path, tmp_path: Path) -> None:
     )  # nobody else speaks
 
 
-@pytest.mark.deep(gate="tests/unit/record/test_video.py::test_what_is_no_video_is_one_line")
+@pytest.mark.deep(gate="tests/unit/scans/test_video.py::test_what_is_no_video_is_one_line")
 def test_the_command_says_what_it_made(tmp_path: Path) -> None:
     whole = made(tmp_path / "whole.avi", "MJPG").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) * 8 // 10])

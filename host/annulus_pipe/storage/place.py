@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, TypeAlias, cast
 
 from annulus_pipe import untrusted
-from annulus_pipe.record.remote import (
+from annulus_pipe.storage.remote import (
     Told,
     Url,
     found_below,
@@ -31,7 +31,7 @@ from annulus_pipe.record.remote import (
     stat_remote,
     write_remote,
 )
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
 
 Where: TypeAlias = Path | Url

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from annulus_pipe.record.imu import Motion, read_motion
-from annulus_pipe.record.scan import Scan, open_scan
 from annulus_pipe.reprocess.job import turns_of
+from annulus_pipe.scans.imu import Motion, read_motion
+from annulus_pipe.scans.scan import Scan, open_scan
 from annulus_pipe.vocabulary import AnnulusError
 
 HEADER = "index,ax_g,ay_g,az_g,dtheta_x_deg,dtheta_y_deg,dtheta_z_deg\n"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.record import remote
-from annulus_pipe.record.remote import ChangedError, Patience, RemoteFile, UnreachableError, Url, joined, remote_file
-from annulus_pipe.record.storage import Place, where, writer
+from annulus_pipe.storage import remote
+from annulus_pipe.storage.place import Place, where, writer
+from annulus_pipe.storage.remote import ChangedError, Patience, RemoteFile, UnreachableError, Url, joined, remote_file
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 

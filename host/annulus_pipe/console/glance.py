@@ -22,10 +22,10 @@ from annulus_pipe import untrusted
 from annulus_pipe.job import JobSheet
 from annulus_pipe.record.clock import CLOCK_FILE, Clock
 from annulus_pipe.record.frames import FRAME_TOPIC, IDENTITY, LABEL_TOPIC, Z_MAX_MM, from_json
-from annulus_pipe.record.origin import JOB_TOPIC
 from annulus_pipe.record.parts import PART_FILE, later_paths, part_of
 from annulus_pipe.record.recording import opened
 from annulus_pipe.record.walk import ATTACHMENT_MAX, MAGIC, Channel, DamagedError, Walk, piece
+from annulus_pipe.scans.origin import JOB_TOPIC
 from annulus_pipe.vocabulary import AnnulusError
 
 HEAD = 64 << 20  # bytes, stepped over: attachments, what was said at the start, the first label with a place

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 from annulus_pipe.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone, several_cameras
 from annulus_pipe.geometry.camera import Camera
-from annulus_pipe.record.storage import Where, read_whole
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.place import Where, read_whole
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.untrusted import parse_json
 from annulus_pipe.vocabulary import AnnulusError
 

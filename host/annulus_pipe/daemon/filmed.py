@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 
 from annulus_pipe.capture.camera import BGR8, SIDE_MAX, EndOfFrames, HeldRequest, OneRequest, Request
-from annulus_pipe.record.scan import TABLE, read_image, read_table
+from annulus_pipe.scans.scan import TABLE, read_image, read_table
 from annulus_pipe.vocabulary import AnnulusError
 
 SPAN_MAX_NS = 1 << 62  # of timestamps, which have 64 bits

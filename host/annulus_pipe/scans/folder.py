@@ -19,7 +19,7 @@ from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.codec import jpeg, to_bgr
 from annulus_pipe.record.frames import RecordedFrame
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
+from annulus_pipe.scans.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus_pipe.vocabulary import AnnulusError
 
 FORMS = ("png", "jpeg")

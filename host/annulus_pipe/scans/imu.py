@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from annulus_pipe.geometry.pose import composed
-from annulus_pipe.record.numbers import number, require_cells, whole
-from annulus_pipe.record.storage import Where, read_whole
+from annulus_pipe.storage.numbers import number, require_cells, whole
+from annulus_pipe.storage.place import Where, read_whole
 from annulus_pipe.vocabulary import AnnulusError
 
 TABLE = "imu.csv"

@@ -19,7 +19,7 @@ from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.frames import CAMERA_ID_MAX, Z_MAX_MM
 from annulus_pipe.record.recording import Recording
-from annulus_pipe.record.scan import Scan
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 MARK_TOPIC = "/mark"

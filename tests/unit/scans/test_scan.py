@@ -9,8 +9,8 @@ import pytest
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
-from annulus_pipe.record.calibration_file import load_calibration, save_calibration
-from annulus_pipe.record.scan import Scan, open_scan, read_image
+from annulus_pipe.scans.scan import Scan, open_scan, read_image
+from annulus_pipe.storage.calibration_file import load_calibration, save_calibration
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 HEADER = "index,file,light,z_mm\n"
@@ -146,7 +146,7 @@ def test_an_unreadable_folder_is_one_clear_line(folder: Path, monkeypatch: pytes
     def refuse(*_args: object, **_named: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("annulus_pipe.record.scan.read_whole", refuse)
+    monkeypatch.setattr("annulus_pipe.scans.scan.read_whole", refuse)
     with pytest.raises(AnnulusError, match="Permission denied"):
         open_scan(folder)
 

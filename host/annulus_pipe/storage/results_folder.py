@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.record.numbers import number as parsed
-from annulus_pipe.record.numbers import require_cells
+from annulus_pipe.storage.numbers import number as parsed
+from annulus_pipe.storage.numbers import require_cells
 from annulus_pipe.untrusted import mapping, number, one_line, parse_json, printable, read_file, shown, whole, within
 from annulus_pipe.untrusted import text as raw_text
 from annulus_pipe.vocabulary import AnnulusError

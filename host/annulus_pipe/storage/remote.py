@@ -45,7 +45,7 @@ _Answer = TypeVar("_Answer")
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long a store is waited for. Guarded by tests/unit/record/test_remote.py."""
+    """How long a store is waited for. Guarded by tests/unit/storage/test_remote.py."""
 
     attempts: int = 6
     answer_s: float = 20.0  # for an answer to begin and be whole ..

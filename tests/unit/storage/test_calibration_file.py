@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.record.calibration_file import (
+from annulus_pipe.storage.calibration_file import (
     load_calibration,
     load_camera,
     save_calibration,
     save_part,
     update_calibration,
 )
-from annulus_pipe.record.whole import written_whole
+from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
 

@@ -5,7 +5,7 @@ has several cameras, camera (its id; rows of one index belong to one flash) and,
 roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A field of these two may
 be empty. Before a plate there is x_mm in place of z_mm: the stage along the head's motion; and height_mm in reference
 frames: how far the plate stood towards the head. Other columns are passed over. `imu.csv` beside it, if there, says
-how the head turned: `record/imu.py`.
+how the head turned: `scans/imu.py`.
 """
 
 import csv
@@ -23,13 +23,13 @@ from annulus_pipe.capture.pictures import decode
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
-from annulus_pipe.record.imu import Motion, read_motion
 from annulus_pipe.record.missing import missing_told
-from annulus_pipe.record.numbers import number, require_cells, whole
 from annulus_pipe.record.parts import first_names, first_paths
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.record.remote import Url, found_below, listed
-from annulus_pipe.record.storage import Where, read_whole, where
+from annulus_pipe.scans.imu import Motion, read_motion
+from annulus_pipe.storage.numbers import number, require_cells, whole
+from annulus_pipe.storage.place import Where, read_whole, where
+from annulus_pipe.storage.remote import Url, found_below, listed
 from annulus_pipe.untrusted import shown
 from annulus_pipe.vocabulary import AnnulusError, Label
 

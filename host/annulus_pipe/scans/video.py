@@ -26,10 +26,10 @@ import numpy as np
 from annulus_pipe.capture.camera import SIDE_MAX
 from annulus_pipe.capture.pictures import PIXELS_MAX, size_of
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.record.frames import Z_MAX_MM
-from annulus_pipe.record.numbers import require_cells
-from annulus_pipe.record.scan import COLUMNS, TABLE, read_image
+from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
+from annulus_pipe.scans.scan import COLUMNS, TABLE, read_image
+from annulus_pipe.storage.numbers import require_cells
 from annulus_pipe.untrusted import read_file, shown
 from annulus_pipe.vocabulary import AnnulusError, Label
 
