@@ -384,7 +384,7 @@ def _waveform(waves: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _significant(harmonics: FloatArray, sigma: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Up to the last harmonic that is one; those between that are none are written as found."""
+    """Harmonics up to the last that stands out of its noise; weaker ones before it stay as they were found."""
     pairs = (np.abs(harmonics) > SIGNIFICANT * np.maximum(sigma, 1e-4)).reshape(-1, 2).any(axis=1)
     last = 2 * (int(np.flatnonzero(pairs)[-1]) + 1) if pairs.any() else 0
     return tuple(float(one) for one in harmonics[:last]), tuple(float(one) for one in sigma[:last])

@@ -81,10 +81,10 @@ def calibrate_pipe(
     """The projector of `designed`'s kind as the frames say it is.
 
     cameras : those that look at the slide's light, in a frame whose z lies along the pipe. shift_mm : (F, 3) where the
-    head stood, pipe frame; z is nothing a clean
-    pipe tells of. Told for the pipe before the head (the other sign), that is found out, and said. shift_sigma_mm : how
-    well that is known. designed : about where the projector is meant to be; its phase0 is not used. AnnulusError for
-    fewer than three places, and where frames and design do not go together.
+    head stood, pipe frame; z has no effect, for a clean pipe is alike all along. Shifts of the pipe before the head
+    (the other sign) are recognised, and reported in `reversed`. shift_sigma_mm : how well they are known. designed :
+    about where the projector is meant to be; its phase0 is not used. AnnulusError for fewer than three places, and
+    where frames and design do not go together.
     """
     shift_mm = np.asarray(shift_mm, dtype=float)
     if len(shots.flash) and int(shots.flash.max()) >= len(shift_mm):

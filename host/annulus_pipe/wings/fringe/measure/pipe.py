@@ -321,7 +321,7 @@ def _refocused(
     start: FloatArray,
     texture: FloatArray,
 ) -> Head:
-    """The head again, its lens's blur from what slopes of albedo do to the phase."""
+    """The head with its lens's blur, found from what slopes of albedo do to the phase."""
     base = float(np.hypot(*points.base[0, :2]))
     for _ in range(2):
         found = followed(head, images, points, np.nan_to_num(start), noise, texture)

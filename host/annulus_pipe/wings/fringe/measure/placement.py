@@ -50,7 +50,7 @@ class Shots:
 
     @staticmethod
     def single(images: Float32Array) -> "Shots":
-        """Of a head with one eye: a frame a flash."""
+        """The shots of a head with one eye: each flash has one frame."""
         return Shots(images, np.zeros(len(images), int), np.arange(len(images)))
 
 
@@ -135,7 +135,7 @@ class Head:
     def at(
         eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float, roll_rad: FloatArray | None = None
     ) -> "Head":
-        """That stands straight at (F, 3) places, rolled clockwise looking forward; nothing is known of its light."""
+        """A head that stands straight at (F, 3) places, rolled clockwise looking forward; its light is unknown."""
         poses = np.concatenate([np.zeros((len(places_mm), 3)), places_mm], axis=1)
         poses[:, 2] = 0.0 if roll_rad is None else -roll_rad
         return Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
@@ -211,11 +211,10 @@ class Looks:
 
     @staticmethod
     def of(head: Head, images: Float32Array, x: FloatArray, normal: FloatArray) -> "Looks":
-        frames = head.view.frames(images)
         shape = (len(head.eye), len(x))
         one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
         x, normal = np.ascontiguousarray(x), np.ascontiguousarray(normal)
-        look_around(frames, x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
+        look_around(head.view.frames(images), x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
         return one
 
 

@@ -7,9 +7,9 @@ A point of the wall has one phase, whoever looks. With the head's middle frame f
     fine      both cameras' phases along the point's own tracks; the height at which they agree, within half a period of
               their difference about the rough one
 
-The nominal slide says only how the phase goes on from frame to frame and how steep it is; where it is wrong both
-cameras are told the same wrong, and the difference does not hear of it. Nor of what texture and blur do to the phase
-(`texture`): that too belongs to the place. Where the DC has no texture there is no rough height, and no height.
+The nominal slide says only how the phase goes on from frame to frame and how steep it is. An error of it changes both
+cameras' phases alike and leaves their difference as it is; so does what texture and blur do to the phase (`texture`),
+which belongs to the place on the wall. Where the DC has no texture there is no rough height, and no height.
 """
 
 from dataclasses import dataclass, replace
