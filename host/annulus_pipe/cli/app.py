@@ -188,7 +188,7 @@ def reconstruct(
         elif results.lines is None:
             _print_summary(results.summary, out)
         else:
-            print("\n".join(results.lines))
+            print("\n".join([*results.lines, f"report     {out / 'report.html'}"]))
         return
     work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
     origin = origin_of(work.scan, calibration, sheet)

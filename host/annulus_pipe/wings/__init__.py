@@ -47,7 +47,8 @@ class Job(Protocol):
 
 
 class Results(NamedTuple):
-    """summary : as summary.json has it. lines : for people; None: those of any survey. ranges, made : how many windows
+    """summary : as summary.json has it. lines : for people, before where the report lies;
+    None: those of any survey. ranges, made : how many windows
     of the scan were measured apart, and how many of them now."""
 
     summary: Mapping[str, Any]

@@ -36,7 +36,10 @@ def fringes_on(scan: Where, calibration: Where | None) -> Literal["plate", "pipe
 
     Raises AnnulusError where a file cannot be read."""
     if calibration is None:
-        known = open_scan(scan).calibration
+        try:
+            known = open_scan(scan).calibration
+        except AnnulusError:  # it may be another wing's; if it is nobody's, rings say what is wrong with it
+            return None
         return "pipe" if known is not None and known.kind == "fringe" else None
     sections = load_sections(calibration)
     pattern = sections.get("pattern")

@@ -67,10 +67,10 @@ def _of_plate(plate: Plate, job: FringeJob, account: "Told", out: Path, paper: P
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
     summary = write_plate(plate, Account(account.source, counts, drops, plate.timing_ms), out, paper=paper)
-    return Results(summary, tuple(_lines(summary, counts, plate.by, out)), plate.windows, plate.made)
+    return Results(summary, tuple(_lines(summary, counts, plate.by)), plate.windows, plate.made)
 
 
-def _lines(summary: Mapping[str, Any], counts: Mapping[str, int], by: str, out: Path) -> Iterator[str]:
+def _lines(summary: Mapping[str, Any], counts: Mapping[str, int], by: str) -> Iterator[str]:
     yield f"by         {BY[by]}"
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     yield f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}"
@@ -89,4 +89,3 @@ def _lines(summary: Mapping[str, Any], counts: Mapping[str, int], by: str, out: 
         yield f"not told   {cells} places: {reason}"
     for warning in summary["warnings"]:
         yield f"warning    {warning['text']}"
-    yield f"report     {out / 'report.html'}"
