@@ -155,7 +155,7 @@ def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untype
             if x != x:
                 out[n, k] = np.nan
                 continue
-            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]  # Eq. 4.6
             v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
             out[n, k] = math.sqrt(u * u + v * v) / radius - 1.0
 
@@ -205,7 +205,7 @@ def _corrected(point, cone, correction, out):  # type: ignore[no-untyped-def]
     i = int(i) % len(correction)
     j = (i + 1) % len(correction)
     shift = correction[i, 1] + part * (correction[j, 1] - correction[i, 1])
-    out[0], out[1], out[2] = cone[0] + shift * ax, cone[1] + shift * ay, cone[2] + shift * az
+    out[0], out[1], out[2] = cone[0] + shift * ax, cone[1] + shift * ay, cone[2] + shift * az  # Eq. 4.12
     out[3], out[4], out[5] = ax, ay, az
     out[6] = cone[6] + correction[i, 0] + part * (correction[j, 0] - correction[i, 0])
 
@@ -221,14 +221,14 @@ def _meet(ox, oy, oz, x, y, z, cone, cos2):  # type: ignore[no-untyped-def]
     vv = vx * vx + vy * vy + vz * vz
     if cos2 < FLAT:
         return -va / along if abs(along) > GRAZING and -va / along > 0.0 else np.nan
-    a = along * along - cos2
-    b = 2.0 * (along * va - wv * cos2)
-    c = va * va - vv * cos2
-    # b b - 4 a c with what cancels taken out, for a cone that is nearly flat
+    a = along * along - cos2  # Eq. 5.3
+    b = 2.0 * (along * va - wv * cos2)  # Eq. 5.4
+    c = va * va - vv * cos2  # Eq. 5.5
+    # delta^2, Eq. 5.7: b b - 4 a c with what cancels taken out, for a cone that is nearly flat
     inside = 4.0 * cos2 * (along * along * vv - 2.0 * along * va * wv + va * va + cos2 * (wv * wv - vv))
     if inside <= 0.0:
         return np.nan
-    q = -0.5 * (b + math.copysign(math.sqrt(inside), b))
+    q = -0.5 * (b + math.copysign(math.sqrt(inside), b))  # both roots of Eq. 5.6 are q / a and c / q: nothing cancels
     best = 0.0
     if a != 0.0:
         s = q / a

@@ -147,7 +147,7 @@ def _combine(slits, placed, mm_per_px, calibrated, least, out, drawn):  # type: 
     pull = np.empty(4)
     for n in range(len(ring)):
         x, y, z = points[n, 0] - shift[0], points[n, 1] - shift[1], points[n, 2]
-        u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+        u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]  # Eq. 4.6
         v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
         ahead = x * rotation[0, 2] + y * rotation[1, 2] + z * rotation[2, 2]
         r = np.sqrt(u * u + v * v)

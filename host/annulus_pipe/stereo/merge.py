@@ -27,14 +27,21 @@ from annulus_pipe.stereo.view import Expected, View
 # By topic stereo of the metrology table: errors against truth, share inside k = 2, at the tangents as elsewhere.
 JUMP_PX = 3.0  # between two neighbouring lines: more is an edge of the wall, and nothing is read between them
 SLOPE_LINES = 3  # to each side, over which the course of what was seen is read
-CLOSE_MM, ROUNDS = 0.2, 6  # a step so small ends it: what it bends by is its square over the distance
-NEARER, FARTHER = 0.5, 2.0  # of the distance to a clean pipe: no wall is looked for beyond
-CONTRADICTS, LEAST_PX = 6.0, 0.04  # sigma apart, of at least so much: two cameras do not see the same wall
+CLOSE_MM = 0.2  # of the wall: a step so small is the last, for what it bends by is its square over the distance
+ROUNDS = 6  # steps at most
+NEARER = 0.5  # of the distance to a clean pipe: no wall is looked for nearer ..
+FARTHER = 2.0  # .. or farther
+CONTRADICTS = 6.0  # sigma apart: two cameras do not see the same wall ..
+LEAST_PX = 0.04  # .. a sigma being at least so much
 ACROSS = 0.25  # of what is not known: where an edge of the wall leaves so much open of a slit's middle, none is known
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
-BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
+BOTH = 0.1  # of the weight: two cameras that both have so much say by lying apart what sigmas are worth ..
+LEAST = 200  # .. where so many points tell it ..
+UNIT_LEAST = 0.5  # .. a factor of no less ..
+UNIT_MOST = 3.0  # .. and no more
 NOISY = 0.12  # of what is not known: a direction that says less is known together with its neighbours, ..
-BESIDE_DEG, SLOPE_MM_DEG = 2.5, 0.2  # .. so far to each side, as a wall that goes out or in by so much a degree, ..
+BESIDE_DEG = 2.5  # .. so far to each side, ..
+SLOPE_MM_DEG = 0.2  # .. as a wall that goes out or in by so much a degree, ..
 ALIKE = 3.0  # .. so many saying as much as one (pixels lie in rows), or less, by what they leave of that wall
 KNOWN, UNSEEN, CONTRADICTED, BLUNT, EDGE = 0, 1, 2, 3, 4
 

@@ -37,20 +37,28 @@ from annulus_pipe.wall.profile import Profile
 # By topic stereo of the metrology table.
 DIRECTIONS = 720  # generators of each cone
 SIGMA_MOST = 0.01  # of the radius: a point known no better is not known (profilers: 0.5 % of 2 r)
-EVERY, MANY = 2, 2000  # the pose is of every other point where there are more: neighbours share their pixels
+MANY = 2000  # points: from more than these the pose takes ..
+EVERY = 2  # .. every other one, for neighbours share their pixels
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
-# What neighbouring places may be off alike, at least; and where no second camera or too few rings tell by lying apart.
-BIAS_PX, UNTOLD_PX, RINGS_LEAST = 0.0115, 0.02, 3
-# Grey levels; px: a stripe at twice full scale moves a slit by up to 0.2, evenly. One camera's rings tell by how much,
-# lying apart (`rings.uncertainty`); where cones graze, nothing does.
-OVER_EXPOSED, CLIPPED_PX = 235.0, 0.12
-LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
+BIAS_PX = 0.0115  # what neighbouring places may be off alike, at least; as `rings.uncertainty`
+UNTOLD_PX = 0.02  # .. and where no second camera tells it by lying apart, nor ..
+RINGS_LEAST = 3  # .. so many rings
+OVER_EXPOSED = 235.0  # grey levels: a stripe so bright may have been brighter
+# A stripe at twice full scale moves a slit by up to 0.2 px, evenly. One camera's rings tell by how much, lying apart
+# (`rings.uncertainty`); where cones graze, nothing does.
+CLIPPED_PX = 0.12
+LAG = 4  # directions; these three as `rings.uncertainty`
+LEAST = 40  # values a ring's scatter is learnt from
+UNKNOWN_PX = 0.1  # its scatter with fewer
 USUAL_PX = 0.03  # what a place is off until its frame says
-BLUR_LEAST, BLUR_MOST = 0.5, 4.0
+BLUR_LEAST = 0.5  # of the ring's usual edge, what a sharper edge counts for at least ..
+BLUR_MOST = 4.0  # .. and a softer one at most
 CAMERAS_LEAST = 2
-# Part of what both see that is contradicted, and in how many quarters of the round: not one flash. A quarter of
-# stereo-a has 0.002 at most; with its frames paired with their neighbours', 0.4 and more where the head has moved.
-SPREAD, QUARTERS = 0.02, 3
+# Frames are not of one flash where more than SPREAD of what both cameras see is contradicted, in QUARTERS of the round
+# or more. A quarter of stereo-a has 0.002 at most; with its frames paired with their neighbours', 0.4 and more where
+# the head has moved.
+SPREAD = 0.02
+QUARTERS = 3
 TWO_WALLS, CAMERA_MISSING = "cameras contradict", "camera missing"  # keys of `rejected`
 
 

@@ -27,10 +27,12 @@ from annulus_pipe.rings.slits import Slits, find_slits
 from annulus_pipe.rings.triangulate import RingOptics, ring_optics
 from annulus_pipe.stereo.lens import lens_numbers, on_line
 
-STEP_PX, STEP = 1.5, 0.01  # px, part of the radius: between a point and its neighbours on a wall, as in `rings`
+STEP_PX = 1.5  # along a line, between a point and its neighbours on one wall, as in `rings` ..
+STEP = 0.01  # .. plus what this part of the radius moves it by
 FARTHER = 0.02  # of the distance: step of the finite differences along a generator
 WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
-EVERY, NODES = 12, 40  # of so many generators places are worked out on one, but on so many of a cone at least
+EVERY = 12  # of so many generators places are worked out on one ..
+NODES = 40  # .. but on so many of a cone at least
 SOME = 8  # lines, of which one says how far a ring's image moves
 
 

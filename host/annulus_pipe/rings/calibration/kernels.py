@@ -123,6 +123,7 @@ def _off(rays, origins, at, cone, pose, turn, radius, correction, more, wanted):
     qx, qy = ox - pose[2], oy - pose[3]
     qu, qv = r00 * qx + r01 * qy + r02 * oz, r11 * qy + r12 * oz
     wu, wv = r00 * wx + r01 * wy + r02 * wz, r11 * wy + r12 * wz
+    # App. A.1, Eq. .8, in the pipe's own axes and with half of its b; Eq. .9
     a, b, c = wu * wu + wv * wv, qu * wu + qv * wv, qu * qu + qv * qv - radius * radius
     under = b * b - a * c
     if not under > 0.0 or not a > 0.0:

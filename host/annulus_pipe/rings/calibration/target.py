@@ -67,8 +67,8 @@ def on_plane(
     for side in (-0.5, 0.5):
         origins, rays = camera.lines(pixels + side * width[:, None] * way)
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = ((shift - origins) @ rotation[:, 2]) / (rays @ rotation[:, 2])
-        ends.append(origins + np.where(s > 0, s, np.nan)[:, None] * rays)
+            s = ((shift - origins) @ rotation[:, 2]) / (rays @ rotation[:, 2])  # Eq. 3.9
+        ends.append(origins + np.where(s > 0, s, np.nan)[:, None] * rays)  # Eq. 3.6
     return ends[0], ends[1]
 
 

@@ -72,19 +72,19 @@ class Ground:
 
     @classmethod
     def along(cls, length_mm: float, seed: int) -> "Ground":
-        """Of a pipe of that length, with as many sewers as there is room for."""
+        """The ground around a pipe of that length, with as many sewers as there is room for."""
         return some_ground(length_mm, seed, bores=int((length_mm / 1000 / ROOM_M - 5) / 2), near=0)
 
     @classmethod
     def read(cls, data: Mapping[str, Any]) -> "Ground":
-        """Of `dataclasses.asdict`."""
+        """The ground again from what `dataclasses.asdict` made of one."""
         columns: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in data.items()}
         columns["bores"] = tuple(Bore(**one) for one in columns["bores"])
         columns["voids"] = tuple(tuple(one) for one in columns["voids"])
         return cls(**columns)
 
     def sensors(self, world: World, cable: Cable, clock: HostClock, start_tick: int, seed: int) -> Sequence[Any]:
-        """The sectors of a head in a pipe that lies in it."""
+        """The capacitive sectors of a head in a pipe that lies in this ground."""
         return (Capacitance(self, world, cable, clock, start_tick, seed),)
 
     def eps_at(self, place_mm: float) -> float:
@@ -110,7 +110,7 @@ class Drawn:
         return Log(c["t_s"], c["odometer_mm"], three, c["cref_pf"], c["roll_deg"], loss, off)
 
     def odometer_mm(self, place_mm: float) -> float:
-        """What the odometer said where the head was there first."""
+        """What the odometer read when the head was first at this place."""
         place, odometer = self._course
         first = np.maximum.accumulate(place)
         return float(np.interp(place_mm, first, odometer))
@@ -211,7 +211,7 @@ def some_ground(
 
 
 def log(ground: Ground, seed: int) -> Drawn:
-    """One passage through it."""
+    """The log of one passage through the ground."""
     rng = np.random.default_rng(seed)
     z = np.arange(0.0, ground.length_mm, STEP_MM)
     theta = np.arange(0.0, 360.0, STEP_DEG)

@@ -60,7 +60,7 @@ class Bores(Observer):
         self.look(final=True)
 
     def look(self, final: bool = False) -> list[Indication]:
-        """What was not told before. final : the scan is over, so is what the head was not yet past."""
+        """Places that were not reported before. final : the scan is over: those ahead, too."""
         if not self._reads or (not final and abs(self._here_mm - self._looked_mm) < STEP_MM):
             return []
         self._looked_mm = self._here_mm
@@ -82,7 +82,7 @@ class Bores(Observer):
         return new
 
     def _found(self) -> tuple[list[Indication], list[Gap]]:
-        """Of all that is kept. What goes wrong here costs bores, never the scan; it is said once."""
+        """The places in all readings kept. An error here costs bores, never the scan, and is reported once."""
         try:
             accounts = [detect(on_grid(run.log, self._head), self._head) for run in self._passage.runs()]
             return [one for each in accounts for one in each.bores], [gap for each in accounts for gap in each.gaps]

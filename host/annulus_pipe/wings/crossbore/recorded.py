@@ -83,7 +83,7 @@ def with_bores(survey: Survey, scan: Scan, profiles: Sequence[Profile]) -> Surve
 
 
 def _of_sectors(recording: Recording, topic: str) -> bool:
-    """By its first records: an hour of a head without sectors has a third of a million others to read."""
+    """Whether a topic carries sectors' readings, by its first records: it may have a third of a million an hour."""
     first = islice(recording.notes(topic), FIRST) if topic.startswith(TOPIC) else ()
     values = (body.get("values") for body in first if isinstance(body, Mapping))
     return any(isinstance(named, Mapping) and CHANNELS[0] in named for named in values)
@@ -104,7 +104,7 @@ def take(passage: Passage, sample: Sample) -> bool:
 
 
 def _head(configured: Mapping[str, Any]) -> tuple[Head, float]:
-    """Of a recording's configuration; what is none is passed over."""
+    """The head that a recording's configuration describes; anything that describes none is passed over."""
     usual = Head()
     try:
         air_pf = untrusted.within(configured.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)

@@ -352,7 +352,7 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
 
 
 def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
-    """A row of the map as a profile: of the frame whose lit wall it was nearest the middle of."""
+    """Each row of the map as a profile of one frame: of all, the one whose lit wall had its middle nearest the row."""
     middle = float(np.median(seen.z_mm)) - float(np.median(job.z_mm))
     z = np.array(job.z_mm)
     turn, out = np.radians(seen.phi_deg), []

@@ -52,11 +52,11 @@ class LinearStage:
         return self._report()[1]
 
     def home(self) -> None:
-        """To its switch; its places count from there."""
+        """Drive to the limit switch; positions count from there."""
         self._command("$H", HOMING_S)
 
     def move(self, to_mm: float) -> None:
-        """To a place, and wait until it stands there."""
+        """Drive to a position, and wait until the stage stands there."""
         state, at = self._report()
         if state.startswith("Alarm"):
             raise AnnulusError(f"{self.port}: the stage is in alarm, expected one that is homed or unlocked ($X)")
@@ -91,7 +91,7 @@ class LinearStage:
         self.close()
 
     def _greeted(self) -> None:
-        """Opening the port resets many boards: past the greeting, or an answer without one."""
+        """Reads past the greeting of a board that opening the port has reset; others answer without one."""
         end, seen = time.monotonic() + GREETING_S, ""
         self._write(b"?")
         while time.monotonic() < end:

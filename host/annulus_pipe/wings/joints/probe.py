@@ -21,7 +21,7 @@ MV = {"mV": 1.0, "V": 1000.0}
 
 
 class ProbeLostError(AnnulusError):
-    """It did not answer, or not with a number. `recover` may bring it back."""
+    """The probe did not answer, or not with a number. `recover` may bring it back."""
 
 
 class Probe(Protocol):
@@ -105,7 +105,7 @@ class SampleProbe:
         raise ProbeLostError(f"{self._address}: no sample of {self._sensor!r} within {ANSWER_S:g} s")
 
     def recover(self) -> None:
-        """It connects again by itself."""
+        """Nothing to do: the connection to the samples restores itself."""
 
     def close(self) -> None:
         self._remote.close()

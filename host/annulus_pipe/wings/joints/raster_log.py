@@ -47,7 +47,7 @@ class RasterLog:
 
     @classmethod
     def resumed(cls, path: Path) -> Self:
-        """That of a scan that ended early. AnnulusError naming the line that is wrong."""
+        """The log of a scan that ended early. AnnulusError naming the line that is wrong."""
         one = cls.__new__(cls)
         content = read_bounded(path, BYTES_MAX)
         whole = content[: content.rfind(b"\n") + 1]

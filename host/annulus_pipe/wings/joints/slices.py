@@ -47,7 +47,7 @@ def tiff_page(page: Any, size: tuple[int, int]) -> Any:
 
 
 def dicom_tags(path: Path) -> Any:
-    """What a file says but its pixels."""
+    """All that a file says except its pixels."""
     return _dicom(path, TAGS_MAX, pixels=False)
 
 

@@ -211,12 +211,13 @@ def _weak_air_is_part(one: Indication) -> Indication:
 
 
 def _cut(grid: Grid, one: Indication) -> bool:
-    """Whether a part of it, or what its edges are told by, was not seen: how long and how deep it is nobody knows."""
+    """Whether a part of a place, or of the stretches that show its edges, was not seen: its length and change are
+    then unknown."""
     return not grid.seen[np.abs(grid.z_mm - one.odometer_mm) <= 0.5 * one.extent_mm + NARROW_MM].all()
 
 
 def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: Limits) -> Indication:
-    """By a joint that the ring sensor saw at its place."""
+    """Whether the place is a joint that the ring sensor saw there."""
     at_joint = any(abs(joint - one.odometer_mm) < JOINT_MM for joint in joints_mm)
     short = one.extent_mm < head.coupling_mm + 2 * limits.coupling_off_mm
     mean = max(abs(float(one.change_ff.mean())), 1e-9)
@@ -227,7 +228,7 @@ def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: 
 
 
 def _speed(grid: Grid, one: Indication, head: Head) -> tuple[float, float]:
-    """By a coupling's transient, and by the odometer; NaN where the head stood or turned back there."""
+    """The head's speed by a coupling's transient, and by the odometer; NaN where it stood or turned back there."""
     here = np.abs(grid.z_mm - one.odometer_mm) <= max(0.5 * one.extent_mm, STEP_MM)
     by_odometer = np.abs(grid.speed_mm_s[here])
     if by_odometer.min() < 1.0 or np.ptp(np.sign(grid.speed_mm_s[here])) > 0:
@@ -241,7 +242,7 @@ def _wet(mean: FloatArray, head: Head) -> float:
 
 
 def _stands_out(place: _Place, limits: Limits) -> bool:
-    """From the soil's own unevenness, and not at a boundary between two soils."""
+    """Whether a place differs from its surroundings by more than soil does, and is no boundary between two soils."""
     return place.depth > limits.water_sigma * place.sigma and abs(place.left - place.right) < 0.5 * place.depth
 
 

@@ -169,7 +169,8 @@ def turn(head: Head, roll_deg: float, step_deg: float, smallest_deg: float) -> F
 
 
 def moved(head: Head, pipe: Pipe, off_mm: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:
-    """A head off the axis: it moves whole, the gap's nodes by what they are near it, the pipe not."""
+    """Nodes of a head off the axis: the head moves as a whole, the pipe stays, and the gap's nodes move the more the
+    nearer they are to the head."""
 
     def place(own: FloatArray) -> FloatArray:
         out = polar(own)

@@ -112,7 +112,7 @@ class Passage:
 
 
 def _in_time(readings: Iterable[tuple[float, ...]]) -> FloatArray:
-    """Of several sensors the same, in the order of their times."""
+    """Readings of one kind from several sensors, in the order of their times."""
     table = np.array(list(readings))
     return np.asarray(table[np.argsort(table[:, 0], kind="stable")])
 

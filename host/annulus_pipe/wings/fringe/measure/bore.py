@@ -278,7 +278,8 @@ def follow_wall(frames, light, points, tolerance, outcome, who):  # type: ignore
             bend /= n
             m[:] = 0.0
             b[:] = 0.0
-            if turn == 0:  # I = V1 + V2 cos phase - V3 sin phase; the sine's harmonics are small beside half a period
+            if turn == 0:
+                # Eq. 6.11: I = V1 + V2 cos phase - V3 sin phase; harmonics are small beside half a period
                 for k in range(count):
                     if eye[k] == first and math.isfinite(value[k]):
                         row[0], row[1], row[2] = gain[k], gain[k] * crest[k], -gain[k] * sine[k]
@@ -286,11 +287,11 @@ def follow_wall(frames, light, points, tolerance, outcome, who):  # type: ignore
                             b[i] += weight[k] * row[i] * value[k]
                             for j in range(i + 1):
                                 m[i, j] += weight[k] * row[i] * row[j]
-                if solve4(m, b, 3) < 0.0:
+                if solve4(m, b, 3) < 0.0:  # Eq. 6.13
                     state = UNDETERMINED
                     break
                 level, swing = b[0], math.hypot(b[1], b[2])
-                h += math.atan2(b[2], b[1]) * seen[first] / bend_of[first]
+                h += math.atan2(b[2], b[1]) * seen[first] / bend_of[first]  # Eq. 6.14
                 continue
             total, cost, robust = 0.0, 0.0, n >= ROBUST_FROM and turn > 1
             free = n - size

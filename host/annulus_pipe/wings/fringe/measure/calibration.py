@@ -33,15 +33,18 @@ from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX, FringePro
 
 NAMES = ("across_mm", "depth_mm", "tilt_x", "tilt_y", "rate", "turn", "phase0")
 HEIGHTS_MIN = 2
-PERIOD_MIN_PX, CYCLES_MIN = 5.0, 5.0  # a finer wave has no harmonics left; a coarser one no carrier
+PERIOD_MIN_PX = 5.0  # a finer wave has no harmonics left
+CYCLES_MIN = 5.0  # across the image: a coarser wave has no carrier
 WINDOW_PERIODS = 0.75  # sigma of the window of the rough phase: the carrier's other side is down to e^-11
 MODULATION_MIN = 0.1  # rough: below it there is no slide's light
 TILE_PERIODS = 2  # whole ones: slopes of the level and the wave do not mix
 LIT = 0.2  # of the brightest: darker tiles say little of the waveform
 TILES_MIN = 20  # of a frame
 ROUNDS = 3
-ACROSS_MAX_MM, ACROSS_STEP_MM = 400.0, 1.0  # from the camera; a step changes a frame's order by less than one half
-ORDERS_TRIED, ORDERS_JOINED = 12, 4  # the likeliest, of one camera and of all
+ACROSS_MAX_MM = 400.0  # a projector is looked for so far from the camera
+ACROSS_STEP_MM = 1.0  # so finely: a step changes a frame's order by less than one half
+ORDERS_TRIED = 12  # the likeliest, of one camera ..
+ORDERS_JOINED = 4  # .. and of all cameras together
 BEATEN = 4.0  # times the misfit: the next best orders must be worse by that
 STILL_RAD = 0.3  # of the best orders' misfit: more is another wall than the one told
 SIGNIFICANT = 4.0  # sigma below which a harmonic is none
@@ -381,7 +384,7 @@ def _waveform(waves: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _significant(harmonics: FloatArray, sigma: FloatArray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Up to the last harmonic that is one; those between that are none are written as found."""
+    """Harmonics up to the last that stands out of its noise; weaker ones before it stay as they were found."""
     pairs = (np.abs(harmonics) > SIGNIFICANT * np.maximum(sigma, 1e-4)).reshape(-1, 2).any(axis=1)
     last = 2 * (int(np.flatnonzero(pairs)[-1]) + 1) if pairs.any() else 0
     return tuple(float(one) for one in harmonics[:last]), tuple(float(one) for one in sigma[:last])

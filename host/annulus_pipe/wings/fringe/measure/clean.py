@@ -39,12 +39,17 @@ from annulus_pipe.wings.fringe.measure.placement import (
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
 CELLS = (30, 60)  # along and round: what is sampled of the wall
-SEARCH_RAD, SEARCH_STEPS = 0.02, 13  # tilts either way tried first
-SEARCH_PERIOD, PERIOD_STEPS = 0.02, 21  # of the logarithm of the period
+SEARCH_RAD = 0.02  # tilts tried first, either way ..
+SEARCH_STEPS = 13  # .. in so many steps
+SEARCH_PERIOD = 0.02  # of the logarithm of the period, tried either way ..
+PERIOD_STEPS = 21  # .. in so many steps
 ROUNDS = 16
 STILL = 0.02  # sigma a number may change in a round that is the last
-PLACE_SIGMA_MM, TILT_SIGMA, PERIOD_SIGMA = 20.0, 0.05, 0.05  # what is believed of a design
-OFFSET_SIGMA_MM, LEAN_SIGMA = 5.0, 0.05  # and of how the head lies in the pipe
+PLACE_SIGMA_MM = 20.0  # what is believed of a design: of its projector's place, ..
+TILT_SIGMA = 0.05  # .. of its direction, rad, ..
+PERIOD_SIGMA = 0.05  # .. and of the logarithm of its period
+OFFSET_SIGMA_MM = 5.0  # what is believed of how the head lies in the pipe: aside ..
+LEAN_SIGMA = 0.05  # .. and leaning, rad
 HARMONICS = 2  # pairs sought: blur leaves no more of a slide
 COHERENT = 0.15  # of all light adding up, over what a slide of full modulation has: below it is another slide
 
@@ -76,10 +81,10 @@ def calibrate_pipe(
     """The projector of `designed`'s kind as the frames say it is.
 
     cameras : those that look at the slide's light, in a frame whose z lies along the pipe. shift_mm : (F, 3) where the
-    head stood, pipe frame; z is nothing a clean
-    pipe tells of. Told for the pipe before the head (the other sign), that is found out, and said. shift_sigma_mm : how
-    well that is known. designed : about where the projector is meant to be; its phase0 is not used. AnnulusError for
-    fewer than three places, and where frames and design do not go together.
+    head stood, pipe frame; z has no effect, for a clean pipe is alike all along. Shifts of the pipe before the head
+    (the other sign) are recognised, and reported in `reversed`. shift_sigma_mm : how well they are known. designed :
+    about where the projector is meant to be; its phase0 is not used. AnnulusError for fewer than three places, and
+    where frames and design do not go together.
     """
     shift_mm = np.asarray(shift_mm, dtype=float)
     if len(shots.flash) and int(shots.flash.max()) >= len(shift_mm):

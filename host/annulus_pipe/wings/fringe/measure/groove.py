@@ -353,8 +353,8 @@ def _write(
 
 
 def _groove(cut: _Cut, rows: tuple[int, int], wall: float, starts: list[FloatArray]) -> _Groove:
-    """The best that comes of the starts, then once more with outliers weighted down and the noise as large as what is
-    left. A depth beside which another fits as well has the sigma of their difference."""
+    """The best fit from the starts, then fitted once more with outliers weighted down and the noise scaled to the
+    residuals. Where another depth fits as well, sigma is at least the difference between the two."""
     best, *others = sorted((_fitted(cut, start) for start in starts), key=lambda one: one.misfit)
     spread = max(robust_sigma(best.left), 1.0)
     calm = replace(cut, weight=cut.weight / spread * np.sqrt(biweight(best.left / (TUKEY * spread))))
@@ -367,7 +367,7 @@ def _groove(cut: _Cut, rows: tuple[int, int], wall: float, starts: list[FloatArr
 
 
 def _fitted(cut: _Cut, start: FloatArray) -> _Fit:
-    """From there, by Levenberg and Marquardt; albedo is projected out at every step."""
+    """The fit that is reached from a start, by least squares; albedo is projected out at every step."""
     low, high, step, rows = float(cut.z[0]), float(cut.z[-1]), cut.plane.step, len(cut.z)
     smooth = np.diff(np.eye(rows), axis=0) / (ALBEDO * float(np.median(cut.grey / cut.gain)))
     grey = np.concatenate([(cut.grey * cut.weight).ravel(), np.zeros(rows - 1)])
@@ -415,7 +415,8 @@ def _narrow_losses(
 
 
 def _beside_others(runs: list[tuple[int, int, int]], columns: int) -> list[tuple[int, int, int]]:
-    """Those of ROWS_LEAST rows or more that overlap with as many beside them as a groove takes."""
+    """Runs of at least ROWS_LEAST rows that overlap, in the columns beside them, with FITTED runs or more, themselves
+    included."""
     by: dict[int, list[tuple[int, int, int]]] = {}
     for run in runs:
         if run[2] - run[1] >= ROWS_LEAST:

@@ -34,7 +34,8 @@ from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 from annulus_pipe.wings.fringe.measure.transfer import Transfer, transfers
 
 LAMPS_MAX = 16
-RADIUS_MIN_MM, RADIUS_MAX_MM = 1.0, 5000.0
+RADIUS_MIN_MM = 1.0  # what is beyond these two is a typing error, no pipe
+RADIUS_MAX_MM = 5000.0
 
 
 @dataclass(frozen=True, slots=True)

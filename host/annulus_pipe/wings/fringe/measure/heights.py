@@ -141,7 +141,7 @@ class Points:
         return Points(radius_mm * out + z.reshape(-1, 1) * [0.0, 0.0, 1.0], out, out, (len(z_mm), len(phi_rad)))
 
     def some(self, which: BoolArray | IntArray) -> "Points":
-        """Those, in a row."""
+        """A selection of the points, as a grid of one row."""
         base = self.base[which]
         return Points(base, self.path[which], self.normal[which], (1, len(base)))
 
@@ -217,7 +217,7 @@ def spline(images: Float32Array) -> Float32Array:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """What a fit is told beside its frames; see `heights`."""
+    """What a fit takes beside its frames; see `heights`."""
 
     noise: tuple[float, float, float]
     drift_sigma: float
@@ -258,7 +258,8 @@ def _rows(vectors: FloatArray) -> FloatArray:
 
 
 def _again(view: View, images: Float32Array, points: Points, found: Heights, fit: _Fit) -> Heights:
-    """Points that came to nothing, from where their neighbours are: a step's upper edge starts too far below."""
+    """Points without a height, fitted again from their neighbours' heights: at a step's upper edge the first start lies
+    too far below."""
     columns = points.shape[1]
     for _ in range(AGAIN_MAX if min(points.shape) > 1 else 0):
         which = np.flatnonzero(found.flag >= UNMODULATED)
@@ -345,7 +346,7 @@ def _continue(
 
 
 def _spread(some: Heights, which: BoolArray) -> Heights:
-    """Of some points, at their places among all; NaN elsewhere."""
+    """(P,) values of some points put at those points' places among all; NaN elsewhere."""
     values = np.full((len(NAMES), len(which)), np.nan)
     values[:, which] = [getattr(some, name) for name in NAMES]
     return Heights(*Outcome(*values), some.residual)

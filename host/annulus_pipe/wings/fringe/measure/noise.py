@@ -14,8 +14,9 @@ from scipy.stats import chi2
 from annulus_pipe.wings.fringe.measure.heights import Heights
 from annulus_pipe.wings.fringe.measure.track import GOOD
 
-BINS, BIN_POINTS = 24, 30
-UNKNOWNS = 3
+BINS = 24  # of grey levels, each with as many points
+BIN_POINTS = 30  # fewer have no say
+UNKNOWNS = 3  # of a point's fit: DC, AC, height
 FLOOR = 1.0 / 12.0  # of the variance: a grey level is rounded
 
 

@@ -46,14 +46,17 @@ DARK = 0.06  # of the brightest: below that no light falls on the wall
 REACH_PX = 4  # of a blur and of a cubic spline: what lies so near the field's edge is not used
 LIT_LEAST = 0.01  # of the image: less is no slide of rings on a wall
 SOME = 4000  # cells that place the head: its poses are then known to micrometres
-ROUNDS, BLURRED = 5, 2  # for the head; maps with the blur taken out: a third changes nothing
+ROUNDS = 5  # for the head
+BLURRED = 2  # maps with the blur taken out: a third changes nothing
 POSE_SIGMA = (0.05, 0.05, 0.0, 0.03, 0.03, 0.0)  # rad, radii: a head's lean and offset; roll and place are as told
 RADIUS_SIGMA = 0.03  # of it: what is believed of the stated radius
 DRIFT = 0.1  # share by which a point's light may drift along half its track, beside the shading
 WALL_LEAST = 1e-4  # of the radius: no wall is rounder
 SLOPE_MAX = 1.0  # 1 / mm: an edge of albedo is sharper, the blur of it is not
 APART = 8  # cells: two so far from each other share neither pixels nor texture
-ROWS, LONG_ROWS, ROW_LEAST = 2, 16, 100  # either way, for cells apart round and along; cells that tell a scatter
+ROWS = 2  # either way, of cells apart round the pipe ..
+LONG_ROWS = 16  # .. and along it
+ROW_LEAST = 100  # cells that tell a scatter
 BEYOND_FIRST = 0.2  # of what texture was found to do: a slope says it to the first order of the blur
 CONTINUOUS = 0.25  # of a period: neighbours nearer than that are one surface
 CONTRADICTED = 0.3  # cells of a surface that speak for another order, over those that speak for this one
@@ -318,7 +321,7 @@ def _refocused(
     start: FloatArray,
     texture: FloatArray,
 ) -> Head:
-    """The head again, its lens's blur from what slopes of albedo do to the phase."""
+    """The head with its lens's blur, found from what slopes of albedo do to the phase."""
     base = float(np.hypot(*points.base[0, :2]))
     for _ in range(2):
         found = followed(head, images, points, np.nan_to_num(start), noise, texture)

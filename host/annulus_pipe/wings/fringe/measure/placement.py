@@ -22,7 +22,8 @@ from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, lo
 from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, Heights, Points, View
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
-POSE, LAW = 6, 7  # numbers of a pose; of a projector: centre, two of its direction, phase, logarithm of its period
+POSE = 6  # numbers of a pose
+LAW = 7  # of a projector: centre, two of its direction, phase, logarithm of its period
 EPSILON = 1e-5  # rad: differences in place of derivatives
 EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7])
 SHADING_SIGMA = 0.5  # of a coefficient: light changes by a factor along the seen wall, not by orders of magnitude
@@ -49,7 +50,7 @@ class Shots:
 
     @staticmethod
     def single(images: Float32Array) -> "Shots":
-        """Of a head with one eye: a frame a flash."""
+        """The shots of a head with one eye: each flash has one frame."""
         return Shots(images, np.zeros(len(images), int), np.arange(len(images)))
 
 
@@ -134,7 +135,7 @@ class Head:
     def at(
         eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float, roll_rad: FloatArray | None = None
     ) -> "Head":
-        """That stands straight at (F, 3) places, rolled clockwise looking forward; nothing is known of its light."""
+        """A head that stands straight at (F, 3) places, rolled clockwise looking forward; its light is unknown."""
         poses = np.concatenate([np.zeros((len(places_mm), 3)), places_mm], axis=1)
         poses[:, 2] = 0.0 if roll_rad is None else -roll_rad
         return Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
@@ -210,11 +211,10 @@ class Looks:
 
     @staticmethod
     def of(head: Head, images: Float32Array, x: FloatArray, normal: FloatArray) -> "Looks":
-        frames = head.view.frames(images)
         shape = (len(head.eye), len(x))
         one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
         x, normal = np.ascontiguousarray(x), np.ascontiguousarray(normal)
-        look_around(frames, x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
+        look_around(head.view.frames(images), x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
         return one
 
 

@@ -24,7 +24,8 @@ CELL = 3.0  # sigma of a cell that belongs to a defect
 LEAST_OF_RADIUS = 4e-4  # of a strip's mean: what calibration leaves of a wall's form is of that size
 CELLS_MIN = 8
 SHAPE_ROUNDS = 6
-RIPPLE_ROWS, RIPPLE_DEPTH = 4, 0.5  # rows and part of a depth: what a step's blur leaves beside it, to the other side
+RIPPLE_ROWS = 4  # so near a step its blur leaves a ripple to the other side ..
+RIPPLE_DEPTH = 0.5  # .. of this part of its depth at most
 UPPER = 0.75  # quantile of its cells' depth from which on they show its floor
 
 

@@ -19,10 +19,10 @@ def four_step(frames: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F
     their ratio. I_n = DC + a cos(phase + n pi / 2): the sine is I4 - I2 (6.5 says I2 - I4 and means phase - n pi /
     2)."""
     i1, i2, i3, i4 = frames
-    dc = frames.mean(axis=0)
-    ac = np.hypot(i3 - i1, i4 - i2) / np.sqrt(8.0)
+    dc = frames.mean(axis=0)  # Eq. 6.17
+    ac = np.hypot(i3 - i1, i4 - i2) / np.sqrt(8.0)  # Eq. 6.18
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.arctan2(i4 - i2, i1 - i3), dc, ac, ac / dc
+        return np.arctan2(i4 - i2, i1 - i3), dc, ac, ac / dc  # Eq. 6.5; 6.19
 
 
 def least_squares(frames: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -30,10 +30,10 @@ def least_squares(frames: FloatArray, theta: FloatArray) -> tuple[FloatArray, Fl
 
     Rows [1, cos theta, -sin theta] on [DC, a cos phase, a sin phase], by normal equations (6.13)."""
     theta = np.broadcast_to(theta.reshape(len(theta), -1), frames.shape)
-    rows = np.stack([np.ones_like(theta), np.cos(theta), -np.sin(theta)], axis=-1)
+    rows = np.stack([np.ones_like(theta), np.cos(theta), -np.sin(theta)], axis=-1)  # Eq. 6.9
     normal = np.einsum("npi,npj->pij", rows, rows)
-    dc, even, odd = np.linalg.solve(normal, np.einsum("npi,np->pi", rows, frames)[..., None])[..., 0].T
-    return np.arctan2(odd, even), dc, np.hypot(even, odd)
+    dc, even, odd = np.linalg.solve(normal, np.einsum("npi,np->pi", rows, frames)[..., None])[..., 0].T  # Eq. 6.13
+    return np.arctan2(odd, even), dc, np.hypot(even, odd)  # Eq. 6.14
 
 
 def direct(

@@ -7,9 +7,9 @@ A point of the wall has one phase, whoever looks. With the head's middle frame f
     fine      both cameras' phases along the point's own tracks; the height at which they agree, within half a period of
               their difference about the rough one
 
-The nominal slide says only how the phase goes on from frame to frame and how steep it is; where it is wrong both
-cameras are told the same wrong, and the difference does not hear of it. Nor of what texture and blur do to the phase
-(`texture`): that too belongs to the place. Where the DC has no texture there is no rough height, and no height.
+The nominal slide says only how the phase goes on from frame to frame and how steep it is. An error of it changes both
+cameras' phases alike and leaves their difference as it is; so does what texture and blur do to the phase (`texture`),
+which belongs to the place on the wall. Where the DC has no texture there is no rough height, and no height.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,8 @@ ROUNDS = 5
 SEEN_MIN = 200  # points with a disparity, to say a phase by
 STRONG = 0.1  # rad/mm: below that two cameras' phases do not tell heights apart
 BLOCK = 20000  # points at a time: 24 frames of them, and their columns, are 40 MB
-PERIOD_OFF, PERIOD_STEPS = 0.05, 101  # share by which a slide's period may be off its design
+PERIOD_OFF = 0.05  # share by which a slide's period may be off its design
+PERIOD_STEPS = 101  # tried over it
 CONCENTRATED = 0.3  # length of the mean of all unit phases: below it the frames show no slide of that period
 WINDOW = 0.5  # of a half period: farther from the rough height than that is another order's
 
@@ -253,7 +254,7 @@ def _phase(
     level = np.maximum(value, 0.0)
     weight = fine / (noise[0] + level * (noise[1] + level * noise[2]))
     phase = np.where(fine, phase, 0.0)
-    columns = [np.ones_like(phase), np.cos(phase), -np.sin(phase)]
+    columns = [np.ones_like(phase), np.cos(phase), -np.sin(phase)]  # Eq. 6.9
     prior = np.zeros(3)
     solution, fit, inverse, misfit, scale = _solve(columns, value, weight, prior, used)
     if drift_sigma > 0:
@@ -270,9 +271,8 @@ def _phase(
         across = np.stack([-odd, even], axis=1) / (ac * ac)[:, None]
         variance = np.einsum("pi,pij,pj->p", across, inverse[:, 1:3, 1:3], across) * scale
         empty = used < 3
-    off, variance, dc, ac, misfit = (
-        np.where(empty, np.nan, one) for one in (np.arctan2(odd, even), variance, dc, ac, misfit)
-    )
+    off = np.arctan2(odd, even)  # Eq. 6.14
+    off, variance, dc, ac, misfit = (np.where(empty, np.nan, one) for one in (off, variance, dc, ac, misfit))
     return _Seen(off, variance, dc, ac, misfit, used)
 
 
@@ -283,7 +283,7 @@ def _solve(
     rows = np.stack(columns, axis=-1)
     matrix = np.einsum("np,npi,npj->pij", weight, rows, rows, optimize=True) + np.diag(prior + 1e-12)
     inverse = np.linalg.inv(matrix)
-    solution = np.einsum("pij,np,npj->pi", inverse, weight * value, rows, optimize=True)
+    solution = np.einsum("pij,np,npj->pi", inverse, weight * value, rows, optimize=True)  # Eq. 6.13, weighted
     fit = np.einsum("npi,pi->np", rows, solution)
     misfit = (weight * np.square(value - fit)).sum(axis=0)
     free = np.maximum(used - 3, 1)

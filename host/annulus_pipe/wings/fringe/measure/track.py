@@ -305,9 +305,8 @@ def follow(frames, tracks, drift_sigma, noise, tolerance, outcome, residual):  #
                 p, n, bend = which[i], 0, 0.0
                 m00 = m10 = m11 = m20 = m21 = m22 = b0 = b1 = b2 = 0.0
                 state, variance = UNSETTLED, -1.0
-                if (
-                    turn == 0
-                ):  # I = V1 + V2 cos phase - V3 sin phase: the sine's harmonics are small beside half a period
+                if turn == 0:
+                    # Eq. 6.11: I = V1 + V2 cos phase - V3 sin phase; harmonics are small beside half a period
                     for k in range(count):
                         grey, w, c = value[k, i], weight[k, i], crest[k, i]
                         if math.isfinite(grey):
@@ -323,14 +322,14 @@ def follow(frames, tracks, drift_sigma, noise, tolerance, outcome, residual):  #
                             b2 -= ws * grey
                             bend += slope[k, i]
                             n += 1
-                    b0, b1, b2, variance = solve3(
+                    b0, b1, b2, variance = solve3(  # Eq. 6.13
                         m00, m10, m11, m20, m21, m22, b0, b1, b2, PIVOT_MIN * m00, PIVOT_MIN * m11, PIVOT_MIN * m22
                     )
                     if n < 3 or variance < 0.0:
                         state = TOO_FEW if n < 3 else UNDETERMINED
                     else:
                         level[i], swing[i] = b0, math.sqrt(b1 * b1 + b2 * b2)
-                        h[i] += math.atan2(b2, b1) * n / bend
+                        h[i] += math.atan2(b2, b1) * n / bend  # Eq. 6.14: the phase that is left, as a height
                 else:
                     robust, total, cost = turn > 2, 0.0, 0.0
                     t0, t1, t2, t3, bt = 0.0, 0.0, 0.0, stiff, -tilt[i] * stiff

@@ -18,7 +18,8 @@ from annulus_pipe.vocabulary import AnnulusError
 
 WHITE = 255.0
 SATURATED = 254  # grey levels from here on say no more than "at least"
-GAMMA_MIN, GAMMA_MAX = 0.2, 5.0
+GAMMA_MIN = 0.2  # no camera's curve is flatter ..
+GAMMA_MAX = 5.0  # .. or steeper
 
 
 @dataclass(frozen=True, slots=True)

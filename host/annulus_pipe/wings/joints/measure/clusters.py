@@ -83,6 +83,6 @@ def _called(values: FloatArray, good: BoolArray, members: list[IntArray]) -> lis
 
 
 def _balanced(called: list[bool | None], good: BoolArray) -> float:
-    """Not told counts half."""
+    """Mean of the shares of good and of bad dogbones that are called right; one that is not called counts half."""
     right = np.array([0.5 if one is None else float(one == true) for one, true in zip(called, good, strict=True)])
     return float((right[good].mean() + right[~good].mean()) / 2)

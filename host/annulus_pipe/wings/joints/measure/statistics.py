@@ -224,7 +224,7 @@ def _rotated(series: np.ndarray, angle_deg: FloatArray, energy: FloatArray, sear
 
 
 def _share(all_of_them: FloatArray, one: float) -> float:
-    """Of those that do as well as one, up to rounding."""
+    """The share of values that reach a given one, up to rounding."""
     return float(np.mean(all_of_them >= one - 1e-9))
 
 

@@ -232,7 +232,7 @@ def _box(points: FloatArray, turn: float) -> tuple[float, float]:
 
 
 def _is_hollow(points: FloatArray, voxel_mm: tuple[float, float, float]) -> bool:
-    """No plastic in the middle of its own box."""
+    """Whether the middle of the section's own box holds no plastic."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return bool(np.min(np.hypot(*(points - middle).T)) > 2 * max(voxel_mm[1:]))
 

@@ -35,9 +35,12 @@ LOOK = 72  # pixels from the axis to a receiver, at most: finer costs time. Guar
 SMOOTHED = 0.7  # nepers at a wave of four pixels: what a look cannot carry. Guard: topic sound_speed.
 WITHIN = 0.8  # of the receivers' radius is compared, if nobody says; nearer to a receiver its own arc
 # outshines all. Guard: topic sound_speed.
-POSITIONS, HOLE_DEG = 12, 120.0  # fewer, or a wider hole, and halves of the circle are no halves;
-# test_a_maximum_at_the_end_of_the_range_is_none
-SPEEDS, FINER = 21, 9  # tried over the range, and about the best of them. Guard: topic sound_speed.
+# With fewer positions, or a wider hole, halves of the circle are no halves. Guard of both:
+# test_a_maximum_at_the_end_of_the_range_is_none.
+POSITIONS = 12
+HOLE_DEG = 120.0
+SPEEDS = 21  # tried over the range ..
+FINER = 9  # .. and about the best of them. Guard of both: topic sound_speed.
 
 # Guards of what follows: topic sound_speed, test_one_damaged_receiver_is_named, test_sound_receivers_are_not_accused.
 NEIGHBOURS = 3  # to each side: agreement depends on the direction from which the sample is heard

@@ -53,11 +53,11 @@ def half_space_loss(medium: Dielectric, depth_mm: float, frequency_hz: float = F
     would have no maximum over the conductivity at all.
     """
     index = np.sqrt(medium.permittivity(frequency_hz))
-    transmitted = abs(2 / (1 + index)) ** 2
+    transmitted = abs(2 / (1 + index)) ** 2  # T^2, Eq. 7.23
     twice = 2 * attenuation(medium, frequency_hz)
     depth = depth_mm * 1e-3
     through = -math.expm1(-twice * depth) / twice if twice > 0 else depth
-    return float(medium.sigma_s_m * transmitted * through)
+    return float(medium.sigma_s_m * transmitted * through)  # Eq. 7.21
 
 
 def slab_loss(

@@ -25,9 +25,10 @@ PML_CELLS = 20  # Guard of the layer: test_what_leaves_does_not_come_back
 PML_STRENGTH = 2.0  # nepers per cell at the rim
 PML_POWER = 4
 COURANT = 0.3  # c dt / dx: accuracy does not limit it. Guard: topic solver
-# Cells each way that speak for a point between cells, and how their weight falls (Kaiser).
-# Guard: test_a_gaussian_sounds_as_theory_says.
-TAPS, TAPER = 20, 12.0
+TAPS = (
+    20  # cells in a row that speak for a point between cells. Guard, with TAPER: test_a_gaussian_sounds_as_theory_says
+)
+TAPER = 12.0  # how their weight falls: Kaiser's beta
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,18 +14,14 @@ from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver
 from annulus_pipe.wings.tai.measure.sweep import Sweep, gaps_deg
 
 # Guards: topic imaging, and of tests/wings/tai/test_imaging.py what is named.
-GRID_MAX = (
-    1024  # cells a side; beyond, a finer pixel is refused instead of computed for an hour; test_bad_input_is_one_line
-)
+GRID_MAX = 1024  # cells a side; a finer pixel is refused, it would take an hour. Guard: test_bad_input_is_one_line
 GRID_USUAL = 400  # cells across the circle if nobody asks for more: a minute. Unguarded: patience
-CELLS_PER_WAVE = (
-    2.4  # of the highest frequency that matters; with both below, the pixel of a sweep. Guarded loosely, by
-)
-# test_bad_input_is_one_line (0.1 to 0.6 mm)
+# The next three make the pixel of a sweep. Guarded loosely, by test_bad_input_is_one_line (0.1 to 0.6 mm).
+CELLS_PER_WAVE = 2.4  # of the highest frequency that matters
 ENERGY = 0.99  # of the sound lies below that frequency
 ABOVE_NOISE = 4.0  # times the power per frequency at the upper end of the record
-WORTH = 0.98  # a refinement brings the misfit below this part of the last, or it is not kept;
-# test_refinement_that_does_not_help_is_not_kept
+# Of the last misfit: a refinement comes below it or is not kept. Guard: test_refinement_that_does_not_help_is_not_kept.
+WORTH = 0.98
 OUTSIDE = "the region lies outside the circle of receivers, or is narrower than two pixels"
 TAIL = 1.15  # times the way across: sound in a plane has a tail. Topic imaging
 
@@ -144,7 +140,7 @@ def time_reversal(
     def emitted(traces: NDArray[np.float64], n: int) -> NDArray[np.floating]:
         return solver.reverse(_onto_rim(traces[order], turn, np.degrees(angles)), cells, counted(n))
 
-    estimate = np.where(inside, emitted(heard, 0), 0.0)
+    estimate = np.where(inside, emitted(heard, 0), 0.0)  # Eq. 7.19
     misfit: list[float] = []
     last = estimate
     for n in range(refinements):

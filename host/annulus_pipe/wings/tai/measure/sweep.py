@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from annulus_pipe.vocabulary import AnnulusError
 
-POSITIONS_MAX, SAMPLES_MAX = 8192, 1 << 22  # Unguarded: a wrong file must not fill the memory
+POSITIONS_MAX = 8192  # Unguarded, both: a wrong file must not fill the memory
+SAMPLES_MAX = 1 << 22
 # Guards, all in tests/wings/tai/test_imaging.py: test_receivers_at_odd_angles_are_neither_stuck_nor_holes
 # for HOLE; for the others test_bad_traces_are_named_and_left_out, test_a_round_object_is_not_a_stage_that_stands_still.
-HOLE, HOLE_DEG = 2.5, 12.0  # times the usual spacing, degrees: receivers need not stand evenly
+HOLE = 2.5  # times the usual spacing, for receivers need not stand evenly ..
+HOLE_DEG = 12.0  # .. and at least so much
 CLIPPED = 3  # neighbouring samples at the very same extreme: a converter at its rail
 GENTLE = 0.15  # of the span, over how many are flat: a top that falls off by less is round, and flat for want of bits
 SILENT = 0.2  # of the usual strength: nothing was heard at that position

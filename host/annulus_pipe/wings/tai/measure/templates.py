@@ -190,7 +190,7 @@ def decode_pair(
     """Complementary Manchester pair: each shot with its own bipolar version 2 S - 1, summed (Eq. 8.19 mended, 8.20)."""
     total = np.zeros(np.shape(shots[0]))
     for signals, chips in zip(shots, codes, strict=True):
-        taps = (2.0 * chips.astype(float) - 1.0)[::-1] / (len(codes) * int(chips.sum()))
+        taps = (2.0 * chips.astype(float) - 1.0)[::-1] / (len(codes) * int(chips.sum()))  # Eq. 8.19, mended
         peak = len(chips) - 1
         template = Template(
             "".join(map(str, chips)),
@@ -205,7 +205,7 @@ def decode_pair(
             "matched",
             peak + 0.5,
         )
-        total += decode(signals, sampling_rate_hz, template, chip_s)
+        total += decode(signals, sampling_rate_hz, template, chip_s)  # Eq. 8.20
     return total
 
 
