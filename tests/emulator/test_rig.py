@@ -13,7 +13,7 @@ import pytest
 from emulated import EMULATOR, ROOT
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.selftest.rig.run import chosen
 from tools.mutants import MUTANTS
 

@@ -15,7 +15,7 @@ from emulated import EMULATOR, IMAGE, MS
 from typer.testing import CliRunner
 
 from annulus_pipe.capture.photometry import Light, measure
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
 from annulus_pipe.flash.update import enter_boot_loader
 from annulus_pipe.record.recording import open_recording

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 
 SURVEY = Path(__file__).resolve().parents[3] / "shared" / "survey"
 pytestmark = [pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)")]

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "crossbore"
 pytestmark = pytest.mark.skipif(not (LOGS / "score.py").is_file(), reason="no scenes here (../shared)")

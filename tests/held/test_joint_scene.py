@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 
 JOINTS = Path(__file__).resolve().parents[3] / "shared" / "joints"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.reprocess import survey_of
 from annulus_pipe.rings.reconstructor import Reconstructor

@@ -49,7 +49,7 @@ class Listener(Observer):
 
 def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path: Path, stalls: Any) -> None:
     listener = Listener()
-    with start_head(WORLD, FPS, seed=5, speed_mm_s=SPEED_MM_S, ground=GROUND) as head:
+    with start_head(replace(WORLD, ground=GROUND), FPS, seed=5, speed_mm_s=SPEED_MM_S) as head:
         bus = HeadBus(head.sensor_address, Tank(), 10.0)
         readers = [Fdc2214(bus, adc=Ads1115(bus)), Ina226(bus, rail=Rail(least_v=8.0)), Mpu6050(bus)]
         chips = I2cSensors("/dev/i2c-1", bus, readers, 0.025)

@@ -6,6 +6,7 @@ import subprocess
 import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import Any
 
 import grimp
 import pytest
@@ -15,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ROOT / "host/annulus_pipe"
 MAP = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 LINES_MAX = 500
+PARAMETERS_MAX = 12  # more are a named tuple's fields: they pass each other unnoticed when two are swapped
 SOURCES = (".py", ".c", ".h", ".mjs")
 
 
@@ -39,6 +41,20 @@ def test_no_source_file_is_too_long_to_be_read_at_once() -> None:
 def test_the_formatter_has_the_last_word() -> None:
     mark = "fmt: " + "skip"
     assert not [str(path.relative_to(ROOT)) for path in sources() if mark in path.read_text(encoding="utf-8")]
+
+
+def test_no_function_takes_more_than_can_be_told_apart() -> None:
+    """A command's options are named where they are given: cli/ and the wings' commands may have any number."""
+    many = {}
+    for path in sorted(ROOMS.rglob("*.py")):
+        if path.is_relative_to(ROOMS / "cli") or path.name.endswith("commands.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                count = len(node.args.posonlyargs) + len(node.args.args)
+                if count > PARAMETERS_MAX:
+                    many[f"{path.relative_to(ROOMS)}:{node.name}"] = count
+    assert not many
 
 
 def named(node: ast.AST) -> str | None:
@@ -86,9 +102,24 @@ def test_the_map_names_no_room_that_is_not_there() -> None:
     assert not [room for room in named if not (ROOMS / room / "__init__.py").is_file()]
 
 
-def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
+def contracts() -> list[dict[str, Any]]:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    layers = next(c["layers"] for c in config["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    listed: list[dict[str, Any]] = config["tool"]["importlinter"]["contracts"]
+    return listed
+
+
+def layers_checked() -> list[str]:
+    return next(list(c["layers"]) for c in contracts() if c["type"] == "layers")
+
+
+def test_no_room_of_the_core_may_know_a_wing() -> None:
+    core = {name.strip() for layer in layers_checked() for name in re.split(r"[|:]", layer)}
+    forbidden = next(c for c in contracts() if c.get("forbidden_modules") == ["annulus_pipe.wings.*"])
+    assert set(forbidden["source_modules"]) == core
+
+
+def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
+    layers = layers_checked()
     floors = {
         name.strip().removeprefix("annulus_pipe."): len(layers) - 1 - i
         for i, layer in enumerate(layers)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from annulus_pipe.cli import _print_summary
+from annulus_pipe.cli.app import _print_summary
 from annulus_pipe.report.page import _depth
 from annulus_pipe.wall.defects import Defect, Kind
 

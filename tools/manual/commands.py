@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import typer
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 
 PROGRAM = "annulus"
 

@@ -21,34 +21,71 @@ from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, Float32Array, F
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
-RADII_ALIKE = 0.1  # of the radius: by more two nominal radii are not of one pipe
-COARSE_MM, FINE_MM, NEAR_MM = 2.0, 0.5, 16.0  # steps and reach of the chains of places
-ABOUT_MM, FAR_MM, OUTSIDE = 24.0, 60.0, 100.0  # reach beside stretches that were found, without any; cost beyond
-STATES_MAX = 600
-ROLL_STEP_DEG, ROLL_NEAR_DEG, ROLL_FREE_DEG = 0.25, 4.0, 10.0
-STEP_COST, SLIP_COST, TURN_COST = 3.0, 24.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
-SLIP_MM = 2.5  # from which on it counts as a slip; ..
-AGREE_MM = 1.0  # by which two rows without a slip between them are off
-KNOWN, KNOWN_MOST, KNOWN_LEAST = 1.0, 400, 10  # log-likelihood by which a row was found again; rows asked; pairs
-APART_MM = (300.0, 2000.0)  # that two of them lie apart, for a cable's scale
+# Guarded as a whole by tests/unit/archive/test_compare.py and the benchmark `archive`, topic growth. Most were tried at
+# a quarter and at four times their value on four pairs of that file: where one of its tests fails then, it is named.
+RADII_ALIKE = 0.1  # of the radius: by more two nominal radii are not of one pipe; test_pipes_of_two_sizes_do_not_match
+
+# Chains of places: what is tried for each row, and what a chain pays.
+COARSE_MM = 2.0  # from place to place in the first chains: a twelfth of what texture is alike over
+FINE_MM = 0.5  # .. and in the last, before places are smoothed; finer, test_a_bare_pipe.. has growth that is made up
+NEAR_MM = 16.0  # reach of the last chain beside the one before: eight of its steps
+ABOUT_MM = 24.0  # reach beside stretches that were found: their bins and what a cable strays by in a metre
+FAR_MM = 60.0  # .. and where there are none: slips that nobody saw
+OUTSIDE = 100.0  # log-likelihood beyond that reach: no row's detail buys it
+STATES_MAX = 600  # places tried for a row: bounds time and memory; with more the steps are longer
+STEP_COST = 3.0  # log-likelihood of a step to the next place or roll; dearer, test_a_bare_pipe..
+SLIP_COST = 24.0  # .. of a leap of the place: a slip shorter than 2 mm is no slip but drift
+TURN_COST = 16.0  # .. of a leap of the roll: a head may jerk, and rows with little detail must not
+GONE_COST = 0.05  # .. at most, a mm: what is gone, or new, is no reason to be elsewhere; what is still there is
+
+# Rolls
+ROLL_STEP_DEG = 0.25  # from roll to roll in their chain: an eighth of a column
+ROLL_NEAR_DEG = 4.0  # reach beside what both sensors say ..
+ROLL_FREE_DEG = 10.0  # .. and beside stretches, where one has none
+JUMP_DEG = 0.7  # from row to row, from which on a head jumped: the smoothing does not tie these rows together
+
+# Slips: where the place leaps and stays so
+SLIP_MM = 2.5  # from which on it counts as one
 SLIP_ROWS = 3  # over which it takes place
-STAYS_MM = 60.0  # .. before and after which it must stay so long
-JUMP_DEG = 0.7
-CABLE_MM, HEAD_DEG = 1.0, 0.3  # random walk a root of a metre: cable beside its scale, head beside its sensor
+STAYS_MM = 60.0  # .. before and after which it must stay so long: what comes back is a misfit
+
+# The cable's scale, of pairs of rows that were found again
+KNOWN = 1.0  # log-likelihood by which a row was found again
+KNOWN_MOST = 400  # rows asked: 80 000 pairs; bounds time
+KNOWN_LEAST = 10  # pairs: fewer say no scale
+APART_MM = (300.0, 2000.0)  # that the two lie apart: nearer their places say it badly, farther a slip lies between
+AGREE_MM = 1.0  # by which two rows without a slip between them are off
+
+# Smoothing, and what places and rolls may be off
+CABLE_MM = 1.0  # a root of a metre: random walk of a cable beside its scale
+HEAD_DEG = 0.3  # a root of a metre: random walk of a head's roll beside its sensor
 HEAD_FREE_DEG = 4.0  # .. of a head whose roll no sensor said
-OVAL_MM, OVAL_ALIKE_MM = 0.03, 240.0  # of ovality between years, until it is measured; over which its error is alike ..
-OVAL_LEAST_MM, OVAL_FAR_MM, OVAL_CUT = 0.002, 4000.0, 25.0  # .. at least, and at most; sigma squared
-BARE, BARE_MISFIT = 0.5, 1.5  # share of rows found again below which a wall is bare; its defects' growth misleads
-MISFIT = 1.5  # by which errors are larger than the costs say: neighbouring cells are alike
-CALM = 1.0  # sigma of the smoothing of both, rows and columns: blurs both alike, and noise to a quarter
+ROUNDS = 3  # of Newton's steps: places and rolls have then settled; with one, test_what_is_said_of_places..
+MISFIT = 1.5  # by which errors are larger than the costs say: neighbours are alike; less, test_what_is_said_of_places..
+# Sigma of the smoothing of both, rows and columns: blurs both alike, and noise to a quarter. Less,
+# test_rows_find_their_place..
+CALM = 1.0
 ALIKE_CELLS = 4 * math.pi * CALM**2  # .. after which so many say one thing
-GONE_COST = 0.05  # of log-likelihood a mm: what is gone, or new, is no reason to be elsewhere; what is still there is
-ROUNDS = 3
-SLIPS_A_M, SLIP_USUAL_MM = 0.25, 12.0  # slips that nothing shows: how many a metre, and how far (falling off with it)
+SLIPS_A_M = 0.25  # slips that nothing shows, a metre ..
+SLIP_USUAL_MM = 12.0  # .. and how far: likelihood falls off with it
 ASTRAY_MM = 60.0  # as far as a row may lie from where it was put
-SURE, SHIFTS = 8.0, 24  # sigma by which the detail must agree better here than turned elsewhere
-STRETCHES_MIN, GAIN_MIN = 1, 20.0
-_CHUNK = 4096
+BARE = 0.5  # share of rows found again below which a wall is bare ..
+# .. and its places may be off by so much more: its defects' growth misleads. Less, test_a_bare_pipe..
+BARE_MISFIT = 1.5
+
+# Ovality, which says where a row lies as far as it did not change in years
+OVAL_MM = 0.03  # what it differs by between years, until that is measured
+OVAL_LEAST_MM = 0.002  # .. at least: rounding
+OVAL_ALIKE_MM = 240.0  # along the pipe: over which its error is alike, at least; its median's length
+OVAL_FAR_MM = 4000.0  # .. as far as that is looked for; bounds time
+OVAL_CUT = 25.0  # sigma squared: what it says against a place at most, for it may have changed there
+
+# Whether these are two scans of one pipe
+STRETCHES_MIN = 1  # stretches of the second found on the first
+GAIN_MIN = 20.0  # log-likelihood over chance, of all of them
+SURE = 8.0  # sigma by which the detail must agree better as laid than turned elsewhere; more, every test that aligns
+SHIFTS = 24  # turns elsewhere that this is held against
+_CHUNK = 4096  # rows at once; bounds memory
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.jit import jit
 
 CUT = 9.0  # sigma squared
-STANDS_MM, GROWS = 0.15, 0.3  # what stands out by more, a defect, may have grown by this part of it and be the same
+STANDS_MM = 0.15  # what stands out by more is a defect ..
+GROWS = 0.3  # .. and may have grown by this part of it and be the same
 
 
 @jit

@@ -18,12 +18,15 @@ from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
 
 ORDERS = 3  # 0, 1 and 2
 COLUMNS = 180  # at most, of what is laid over each other
-EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of ovality
+EVEN_MM = 60.0  # median of order 0 along the pipe, which leaves a bead alone
+WAVES_MM = 240.0  # .. and of orders 1 and 2: they are the head's and the pipe's, and change slowly
 BEAD_MM = 0.1  # of order 0 in a row: less may be the head that shakes, and would lay its shaking on the other year's
 IMU_MM = 200.0  # median of the roll: 0.3 degrees a row are 0.05, and a jump stays one
 SEEN_MIN = 0.5  # of a row, for waves to be fitted to it
-NEAR_CELLS, DOUBT = 4.0, 1.5  # over which a map shows something; times its noise that nothing may have
-_ROUNDS, _CHUNK = 6, 4096
+NEAR_CELLS = 4.0  # sigma, rows and columns: over which it is asked whether a map shows anything
+DOUBT = 1.5  # times the square of its noise that may stand where there is nothing
+_ROUNDS = 6  # of Tukey's weights: a row's fit has then settled
+_CHUNK = 4096  # rows fitted at once; bounds memory
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,18 +19,20 @@ LEAST_MM = 0.15  # two heads, calibrated apart, and what lies between rows, make
 OWN_SHAPE_MM = 0.2  # .. by the shape of a defect that is there: its steep sides take part in what lies between rows
 DEFECT_BELLS_MM = (8.0, 20.0)
 DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
-SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
+SHARED_MM = 0.015  # k = 1: of two calibrations, whatever the noise
+SHARED_PART = 0.02  # of a height, k = 1: of its floor's shape, whatever the noise
 SKIRT_PART = 0.4  # of the higher one's height
 ROWS_LEAST = 2.5  # rows that growth must be long
-SIDE_PART, SIDE_SIZE, SIDE_CELLS = (
-    0.2,
-    0.6,
-    5.0,
-)  # of a defect's depth, of its size, and cells: less at its side is none
-DISPLACED_MM, SAME_SIZE = 3.0, 1.4  # from which on rows are off; by so much a defect's sizes may differ and be the same
+# What lies at a defect's side is its own flank, and no defect, where it is less than all three:
+SIDE_PART = 0.2  # of the defect's depth
+SIDE_SIZE = 0.6  # of its length or arc
+SIDE_CELLS = 5.0  # cells, whatever its size: noise is not larger
+DISPLACED_MM = 3.0  # from which on rows are off
+SAME_SIZE = 1.4  # by so much a defect's sizes may differ and be the same
 TORN_MM = 12.0  # from a defect's end to a slip
 SEEN_MIN = 0.35  # of a defect, in both
-ABSENT_MM, ABSENT_PART = 0.15, 0.2  # a depth below either is none: of a new defect before, of one that is gone after
+ABSENT_MM = 0.15  # a depth below it is none: of a new defect before, of one that is gone after ..
+ABSENT_PART = 0.2  # .. and so is one below this part of what it is in the other year
 
 
 class Verdict(StrEnum):

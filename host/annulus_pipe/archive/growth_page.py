@@ -48,7 +48,9 @@ STYLE = {
     "axes.linewidth": 0.8,
     "hatch.linewidth": 0.5,
 }
-SIZE_IN, OVALITY_IN, DPI = (9.0, 3.9), (9.0, 2.2), 150
+SIZE_IN = (9.0, 3.9)  # of the map: as wide as a page takes
+OVALITY_IN = (9.0, 2.2)  # of the curve below it
+DPI = 150  # sharp in print, and 1350 dots on a screen
 ROWS_MAX = 2400  # of the picture: two a dot
 SCALE_LEAST_MM = 0.25  # ends of the colours where nothing grew
 BLUR = 1.0  # cells, so that noise does not hide what grew

@@ -24,7 +24,12 @@ from annulus_pipe.vocabulary import AnnulusError
 
 FORMAT = "annulus-wall/1"
 BEYOND_UM = 32767  # a deviation of it, either way, is that or more: no measure; -32768 is not seen
-ROWS_MIN, ROWS_MAX, COLUMNS_MIN, COLUMNS_MAX, CELLS_MAX = 16, 200_000, 16, 3600, 1 << 27
+# Of a map that somebody hands in:
+ROWS_MIN = 16  # fewer have nothing to be found by
+ROWS_MAX = 200_000  # 400 m of rows 2 mm apart; bounds memory
+COLUMNS_MIN = 16  # fewer show no wave of ovality and no defect
+COLUMNS_MAX = 3600  # a tenth of a degree; bounds memory
+CELLS_MAX = 1 << 27  # rows times columns: half a gigabyte as float32
 MOST = {  # bytes of each array that is read
     "format": 4 * 200,
     "deviation_um": 2 * CELLS_MAX,
@@ -37,7 +42,10 @@ MOST = {  # bytes of each array that is read
     "clock_deg": 8 * COLUMNS_MAX,
     "imu_roll_deg": 8 * ROWS_MAX,
 }
-STEP_MM, RADIUS_MM, PLACE_MM, ROLL_DEG = (0.05, 100.0), (5.0, 5000.0), 1e8, 1e6
+STEP_MM = (0.05, 100.0)  # between rows
+RADIUS_MM = (5.0, 5000.0)  # of a pipe that anybody scans
+PLACE_MM = 1e8  # either way along: 100 km
+ROLL_DEG = 1e6  # either way: a sensor may count turns
 PART = (0.0, 1.0)  # of the radius
 EVEN = 0.01  # of a step: by so much rows may lie beside an even grid
 

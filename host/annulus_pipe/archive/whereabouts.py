@@ -18,15 +18,22 @@ from annulus_pipe.numeric.arrays import ComplexArray, Float32Array, FloatArray, 
 from annulus_pipe.numeric.robust import robust_sigma
 
 BIN_MM = 8.0  # a third of what texture is alike over
-STRETCH_MM, EVERY_MM = 1000.0, 500.0
+STRETCH_MM = 1000.0  # length of a stretch: of less, chance agrees as well somewhere
+EVERY_MM = 500.0  # from one stretch to the next: they overlap by half, so that a slip spoils two at most
 CANDIDATES = 6  # of a stretch
 CUT_SIGMA = 3.0  # of a cell: one defect must not outvote the texture
 CHANCE = 16.0  # log-likelihood that the best of a million places by chance does not reach (5.7 sigma)
 MOST = 80.0  # that one stretch may say
-OVAL_MM, OVAL_MOST = 0.1, 40.0  # by which ovality may differ between years; what it may say against a place
-SCALE, SLACK_MM, SLIP_MM = 0.015, 12.0, 500.0  # odometers differ by 1 %; between two stretches
-TURNED_DEG, TURNED_FREE_DEG = 4.0, 40.0  # between two stretches, with a sensor for the roll and without
-SLIP_COST, SLIP_USUAL_MM = 8.0, 8.0  # a slip is the less likely the longer
+OVAL_MM = 0.1  # by which ovality may differ between years
+OVAL_MOST = 40.0  # log-likelihood: what it may say against a place
+# Between two stretches of one chain:
+SCALE = 0.015  # of their distance: odometers differ by 1 %
+SLACK_MM = 12.0  # .. and a place is known to a bin or so: what is off by less is no slip
+SLIP_MM = 500.0  # what is off by more is no slip either, but another place
+TURNED_DEG = 4.0  # what a head's roll sensor may be off by ..
+TURNED_FREE_DEG = 40.0  # .. and a head may turn by, where no sensor said
+SLIP_COST = 8.0  # log-likelihood, of a slip and of a leap of the roll ..
+SLIP_USUAL_MM = 8.0  # .. and one more for each so many: a slip is the less likely the longer
 LOOK_BACK = 30  # stretches
 SEEDS = 60  # stretches that are looked for everywhere; of a longer scan the others near the line through them
 NEAR_MM = 3000.0

@@ -10,6 +10,7 @@ import typer
 
 from annulus_pipe.cli.show import Json, group
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings import merged
 
 app = group("The projector's pattern.")
 
@@ -170,17 +171,14 @@ def _fringe(
     out: Path,
     as_json: bool,
 ) -> None:
-    from annulus_pipe.wings.fringe.measure import ring_slide
-    from annulus_pipe.wings.fringe.slide_drawing import write_ring_slide
-
     if period_mm is None or distance_mm is None or inner_deg is None or outer_deg is None or focal_mm is None:
         raise AnnulusError(
             "--fringe needs --period-mm, --distance-mm, --inner-deg, --outer-deg and --projector-f-mm: the wave on the "
             "wall, where the projector stands behind the camera, its field, the slide's lens"
         )
     least, most = _diameters(pipe_mm)
-    slide = ring_slide((least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm)
-    written = write_ring_slide(slide, out)
+    wave = (least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm
+    slide, written = merged("lights")["slides"].designed(*wave, out=out)
     edges = np.array([slide.inner_mm, slide.outer_mm])
     left = [round(float(one), 3) for one in slide.modulation(edges)]
     figures = {

@@ -13,6 +13,7 @@ import typer
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus_pipe.cli.show import Bars, Json, progress, tell
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings import opened
 
 if TYPE_CHECKING:
     from annulus_pipe.reprocess import Executor
@@ -171,15 +172,20 @@ def _one(scan: str, place: "Place", executor: "Executor", given: _With, bars: An
 
 
 def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
-    from annulus_pipe.cli.results import Told, WindowFiles, write_results
+    from annulus_pipe.cli.results import Told, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess import fringes_on, look_at, make_ready, open_job, surveyed
+    from annulus_pipe.reprocess import look_at, make_ready, open_job, surveyed
     from annulus_pipe.scans.origin import origin_of
     from annulus_pipe.storage.place import where
 
     path = cast(Path, where(scan))
-    if fringes_on(path, given.calibration):
-        raise AnnulusError(f"{scan}: its head projects fringes, which are not measured frame by frame: reconstruct it")
+    wing = opened(path, given.calibration)
+    if wing is not None:
+        refuse(wing[0], {"colour": given.colour, "reference": given.reference or given.sections})
+        account = Told(scan, origin_of(wing[0].scan, given.calibration))
+        results = measured_by(wing, place, account, executor, bars, keep=True)
+        made = {"ranges": results.ranges, "made": results.made, "left_out": 0}
+        return {"ok": True, "results": str(place), "why": None, **made}
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
     look_at(work)  # what is refused is refused before loops are compiled

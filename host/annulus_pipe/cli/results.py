@@ -1,18 +1,22 @@
 """From what a scan says to result files, for every command that makes them: of a short scan at once, of a long one
 window by window."""
 
+import contextlib
 import hashlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from annulus_pipe import wings
+from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
-from annulus_pipe.report import Account, keep_windows, write, write_whole, write_window
+from annulus_pipe.report import Account, keep_windows, prepare_folder, write, write_whole, write_window
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess import Job, photographs
 from annulus_pipe.storage.place import Place
+from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.joined import Joined
 from annulus_pipe.wall.sections import worth_showing
@@ -20,7 +24,7 @@ from annulus_pipe.wall.survey import Survey
 
 if TYPE_CHECKING:
     from annulus_pipe.report import Paper
-    from annulus_pipe.reprocess import Surveyed
+    from annulus_pipe.reprocess import Executor, Surveyed
 
 SUMMARY = "summary.json"
 ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for another run that has it from the same
@@ -93,6 +97,37 @@ class WindowFiles:
 def _folder(number: int) -> str:
     """Of a window, as a place names it."""
     return window_folder(Path(), number).as_posix()
+
+
+def refuse(job: wings.Job, given: Mapping[str, Any]) -> None:
+    """AnnulusError where an option that was given does not go with a wing's scan. given : by its name in `refuses`."""
+    for name, why in job.refuses.items():
+        if given.get(name):
+            raise AnnulusError(f"--{name.replace('_', '-')} does not go with {why}")
+
+
+def measured_by(
+    wing: tuple[wings.Job, Callable[..., wings.Results]],
+    place: Place,
+    account: Told,
+    executor: "Executor",
+    bars: Any,
+    *,
+    paper: "Paper | None" = None,
+    keep: bool = False,
+) -> wings.Results:
+    """All result files of a wing's scan. bars : as `show.progress` takes it, or what it gives. keep : windows stay, so
+    that the same command again goes on from there."""
+    job, measure = wing
+    if place.local is not None:
+        prepare_folder(place.local)
+    with contextlib.nullcontext(bars) if callable(bars) else progress(bars) as report:
+        if place.local is not None:
+            return measure(job, executor, place, place.local, account, progress=report, paper=paper, keep=keep)
+        with tempfile.TemporaryDirectory(prefix="annulus-") as made:
+            results = measure(job, executor, place, Path(made), account, progress=report, paper=paper, keep=keep)
+            _upload(Path(made), place)
+            return results
 
 
 def write_results(done: "Surveyed", about: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import binascii
 import contextlib
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
 from annulus_pipe.console import bench, surveys, tuning
@@ -17,6 +17,11 @@ from annulus_pipe.console.gate import Gate
 from annulus_pipe.console.program import Program, say
 from annulus_pipe.console.viewing import cut_off, view
 from annulus_pipe.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
 
 PARTS: Sequence[Callable[[Program], Sequence[Any]]] = (surveys.routes, bench.routes, tuning.routes)
 """Each gives a list of Starlette's routes; what a part's endpoint raises is answered as in answers.py."""
@@ -29,25 +34,76 @@ def application(program: Program) -> Any:
     """ASGI."""
     from starlette.applications import Starlette
     from starlette.exceptions import HTTPException
-    from starlette.requests import Request
-    from starlette.responses import FileResponse, Response
-    from starlette.routing import Mount, Route, WebSocketRoute
-    from starlette.staticfiles import StaticFiles
-    from starlette.websockets import WebSocket
 
-    logins, of_all = Rates(LOGINS), Bucket(*LOGINS_OF_ALL, time.monotonic())
+    handlers = {AnnulusError: _wrong, HTTPException: _wrong, Exception: _wrong}
+    pages = Pages(program)
+    app = Starlette(routes=pages.routes(), lifespan=pages.lifespan, exception_handlers=handlers)
+    return Gate(app, program.places, program.sessions, program.cookie)
 
-    async def page(request: Request) -> Response:
-        return FileResponse(program.static / "index.html", headers={"Cache-Control": "no-cache"})
 
-    async def session(request: Request) -> Response:
+class Pages:
+    """The console's own endpoints, and how often somebody may try a password."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._logins, self._of_all = Rates(LOGINS), Bucket(*LOGINS_OF_ALL, time.monotonic())
+
+    def routes(self) -> list[Any]:
+        from starlette.responses import Response
+        from starlette.routing import Mount, Route, WebSocketRoute
+        from starlette.staticfiles import StaticFiles
+
+        class Files(StaticFiles):
+            async def get_response(self, path: str, scope: Any) -> Response:
+                answer = await super().get_response(path, scope)
+                answer.headers["Cache-Control"] = "no-cache"  # the page is of this program, not of the last one
+                return answer
+
+        return [
+            Route("/", self.page),
+            Route("/favicon.ico", self.nothing),
+            Route("/api/session", self.session),
+            Route("/api/login", self.login, methods=["POST"]),
+            Route("/api/logout", self.logout, methods=["POST"]),
+            Route("/api/arm", self.arm, methods=["POST"]),
+            Route("/api/do", self.do, methods=["POST"]),
+            Route("/api/defect/{scan:int}/{id:int}", self.defect),
+            Route("/api/defect/{scan:int}/{id:int}/picture", self.defect_picture),
+            Route("/api/frame/{camera:int}/{index:int}", self.frame),
+            *(route for part in PARTS for route in part(self._program)),
+            WebSocketRoute("/ws", self.viewing),
+            Mount("/static", Files(directory=self._program.static)),
+        ]
+
+    @contextlib.asynccontextmanager
+    async def lifespan(self, app: object) -> AsyncIterator[None]:
+        running = asyncio.create_task(self._program.run())
+        try:
+            yield
+        finally:
+            running.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await running
+            self._program.close()
+
+    async def page(self, request: "Request") -> "Response":
+        from starlette.responses import FileResponse
+
+        return FileResponse(self._program.static / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def nothing(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        return Response(status_code=204)
+
+    async def session(self, request: "Request") -> "Response":
         mine: Session | None = request.state.session
         fresh = mine is None
         if mine is None:
-            mine = program.sessions.begin(time.monotonic())
-        return with_cookie(session_answer(mine), mine) if fresh else session_answer(mine)
+            mine = self._program.sessions.begin(time.monotonic())
+        return self._with_cookie(self._session_answer(mine), mine) if fresh else self._session_answer(mine)
 
-    async def login(request: Request) -> Response:
+    async def login(self, request: "Request") -> "Response":
         asked = await asked_for(request)
         old: Session = request.state.session
         try:
@@ -55,34 +111,34 @@ def application(program: Program) -> Any:
             word = untrusted.text(asked.get("password", ""), "password", PASSWORD_MAX)
         except ValueError as error:
             raise Refusal(400, str(error)) from None
-        if program.door.password is None:
+        if self._program.door.password is None:
             old.name = name
-            return session_answer(old)
+            return self._session_answer(old)
         now = time.monotonic()
         peer = request.client.host if request.client else ""
-        if not logins.take(peer, now) or not of_all.take(now):
+        if not self._logins.take(peer, now) or not self._of_all.take(now):
             raise Refusal(429, "too many attempts, expected one in six seconds")
-        if not await asyncio.to_thread(program.door.password.check, word):
+        if not await asyncio.to_thread(self._program.door.password.check, word):
             say(f"a wrong password from {peer}")
             raise Refusal(401, "the password is wrong")
-        program.sessions.end(old)  # what was known of it before is worth nothing now
-        mine = program.sessions.begin(now, allowed=True, name=name)
-        return with_cookie(session_answer(mine), mine)
+        self._program.sessions.end(old)  # what was known of it before is worth nothing now
+        mine = self._program.sessions.begin(now, allowed=True, name=name)
+        return self._with_cookie(self._session_answer(mine), mine)
 
-    async def logout(request: Request) -> Response:
+    async def logout(self, request: "Request") -> "Response":
         mine: Session = request.state.session
-        if program.lease.holder == mine.id:
+        if self._program.lease.holder == mine.id:
             with contextlib.suppress(Refusal):
-                await program.do({"do": "release"}, mine)
-        program.sessions.end(mine)
-        cut_off(program, mine.id)
+                await self._program.do({"do": "release"}, mine)
+        self._program.sessions.end(mine)
+        cut_off(self._program, mine.id)
         return accepted()
 
-    async def arm(request: Request) -> Response:
+    async def arm(self, request: "Request") -> "Response":
         mine: Session = request.state.session
         return accepted(confirm=mine.arm(time.monotonic()), expires_s=CONFIRM_S)
 
-    async def do(request: Request) -> Response:
+    async def do(self, request: "Request") -> "Response":
         asked = dict(await asked_for(request))
         mine: Session = request.state.session
         asked.pop("who", None)
@@ -93,100 +149,68 @@ def application(program: Program) -> Any:
             raise Refusal(403, "not confirmed: lamps come on after a second step, within 10 s of the first")
         if asked.get("photo") is not None:
             asked["photo"] = _photo(asked["photo"])
-        return accepted(**{key: value for key, value in (await program.do(asked, mine)).items() if key != "ok"})
+        return accepted(**{key: value for key, value in (await self._program.do(asked, mine)).items() if key != "ok"})
 
-    async def defect(request: Request) -> Response:
-        closeup = _closeup(program, request)
-        listed = program.live.defects.get("defects")
+    async def defect(self, request: "Request") -> "Response":
+        closeup = _closeup(self._program, request)
+        listed = self._program.live.defects.get("defects")
         number = closeup.numbers["id"]
         found = next((one for one in listed or () if isinstance(one, dict) and one.get("id") == number), None)
         seen = found.get("frames", ()) if found is not None else ()
         frames = [
             {"camera": camera, "index": index}
             for index in seen
-            for camera in range(max(1, len(program.cameras)))
-            if isinstance(index, int) and program.live.frames.get(camera, index) is not None
+            for camera in range(max(1, len(self._program.cameras)))
+            if isinstance(index, int) and self._program.live.frames.get(camera, index) is not None
         ]
         return accepted(**closeup.for_page(), defect=found, frames=frames, picture=bool(closeup.picture))
 
-    async def defect_picture(request: Request) -> Response:
-        closeup = _closeup(program, request)
+    async def defect_picture(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        closeup = _closeup(self._program, request)
         if not closeup.picture.startswith(b"\x89PNG"):
             raise Refusal(404, "no picture of it is there")
         return Response(closeup.picture, media_type="image/png", headers={"Cache-Control": "no-store"})
 
-    async def frame(request: Request) -> Response:
-        jpeg = program.live.frames.get(request.path_params["camera"], request.path_params["index"])
+    async def frame(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        jpeg = self._program.live.frames.get(request.path_params["camera"], request.path_params["index"])
         if jpeg is None:
             raise Refusal(404, "the frame is not kept any more")
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    async def nothing(request: Request) -> Response:
-        return Response(status_code=204)
+    async def viewing(self, websocket: "WebSocket") -> None:
+        await view(websocket, self._program)
 
-    async def viewing(websocket: WebSocket) -> None:
-        await view(websocket, program)
-
-    def session_answer(mine: Session) -> Response:
+    def _session_answer(self, mine: Session) -> "Response":
         who: dict[str, Any] = {"token": mine.token, "name": mine.name, "id": mine.id}
         return accepted(
             **who,
             needs_login=not mine.allowed,
-            password=program.door.password is not None,
-            languages=program.languages(),
-            demo=program.demo,
+            password=self._program.door.password is not None,
+            languages=self._program.languages(),
+            demo=self._program.demo,
         )
 
-    def with_cookie(answer: Response, mine: Session) -> Response:
-        tls = program.door.tls_cert is not None
-        answer.set_cookie(program.cookie, mine.cookie, path="/", secure=tls, httponly=True, samesite="strict")
+    def _with_cookie(self, answer: "Response", mine: Session) -> "Response":
+        tls = self._program.door.tls_cert is not None
+        answer.set_cookie(self._program.cookie, mine.cookie, path="/", secure=tls, httponly=True, samesite="strict")
         return answer
 
-    async def wrong(request: Request, error: Exception) -> Response:
-        if isinstance(error, Refusal):
-            return refused(str(error), error.status)
-        if isinstance(error, AnnulusError):
-            return refused(str(error), 409)
-        if isinstance(error, HTTPException):
-            return refused(WORDS.get(error.status_code, error.detail), error.status_code)
-        say(f"{request.url.path}: {type(error).__name__}: {error}")
-        return refused(f"internal error, {type(error).__name__}; the console's terminal says more", 500)
 
-    @contextlib.asynccontextmanager
-    async def lifespan(app: Any) -> AsyncIterator[None]:
-        running = asyncio.create_task(program.run())
-        try:
-            yield
-        finally:
-            running.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await running
-            program.close()
+async def _wrong(request: "Request", error: Exception) -> "Response":
+    from starlette.exceptions import HTTPException
 
-    class Files(StaticFiles):
-        async def get_response(self, path: str, scope: Any) -> Response:
-            answer = await super().get_response(path, scope)
-            answer.headers["Cache-Control"] = "no-cache"  # the page is of this program, not of the last one
-            return answer
-
-    routes = [
-        Route("/", page),
-        Route("/favicon.ico", nothing),
-        Route("/api/session", session),
-        Route("/api/login", login, methods=["POST"]),
-        Route("/api/logout", logout, methods=["POST"]),
-        Route("/api/arm", arm, methods=["POST"]),
-        Route("/api/do", do, methods=["POST"]),
-        Route("/api/defect/{scan:int}/{id:int}", defect),
-        Route("/api/defect/{scan:int}/{id:int}/picture", defect_picture),
-        Route("/api/frame/{camera:int}/{index:int}", frame),
-        *(route for part in PARTS for route in part(program)),
-        WebSocketRoute("/ws", viewing),
-        Mount("/static", Files(directory=program.static)),
-    ]
-    handlers = {AnnulusError: wrong, HTTPException: wrong, Exception: wrong}
-    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
-    return Gate(app, program.places, program.sessions, program.cookie)
+    if isinstance(error, Refusal):
+        return refused(str(error), error.status)
+    if isinstance(error, AnnulusError):
+        return refused(str(error), 409)
+    if isinstance(error, HTTPException):
+        return refused(WORDS.get(error.status_code, error.detail), error.status_code)
+    say(f"{request.url.path}: {type(error).__name__}: {error}")
+    return refused(f"internal error, {type(error).__name__}; the console's terminal says more", 500)
 
 
 def _closeup(program: Program, request: Any) -> Any:

@@ -94,6 +94,9 @@ class Observer:
     def health(self, health: Health) -> None:
         """Once a second: how the head is, in one word."""
 
+    def ending(self) -> None:
+        """A scan's last frame and profile were handed out; its recording still takes what is said now."""
+
     def ended(self, report: ScanReport) -> None:
         """A scan is over and its recording closed."""
 
@@ -147,6 +150,10 @@ class Observers(Observer):
     def health(self, health: Health) -> None:
         for one in self.all:
             one.health(health)
+
+    def ending(self) -> None:
+        for one in self.all:
+            one.ending()
 
     def ended(self, report: ScanReport) -> None:
         for one in self.all:

@@ -41,7 +41,7 @@ from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
-from annulus_pipe.wings.crossbore.live import Bores
+from annulus_pipe.wings import watch
 
 TELEMETRY_S = 1.0
 CHORES_S = 0.02  # between two looks at sensors, states and sockets
@@ -73,7 +73,7 @@ class Session:
         self._account = Account()
         self.observers = Observers([Remember(self._account), *([observer] if observer is not None else [])])
         self._operating = Operating(self)
-        self._bores = Bores(config.sectors, self.observers)
+        watch(config, self.observers)
         self.navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
         self._samples = Samples(sensors, self.navigation, self._account, self.observers)
         self._vitals: Vitals | None = None
@@ -342,7 +342,7 @@ class Session:
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
         if self._scan is None:
             return
-        self._bores.look(final=True)
+        self.observers.ending()
         telemetry = self.telemetry()
         self.observers.telemetry(telemetry)
         with whatever_happens(self.observers, "recorder"):

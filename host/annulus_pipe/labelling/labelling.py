@@ -134,7 +134,6 @@ class Labelling:
         self._navigation.journal.note("restarted", camera=self._mode.camera)
         self._pairing.restarted()
         self._seen.clear()
-        self._next_look = 0.0
 
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever doubt did not end. Until it is found, frames are unknown."""

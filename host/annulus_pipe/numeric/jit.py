@@ -71,6 +71,8 @@ def _used(value: object) -> str:
         return _stamps.get(value.py_func.__code__.co_filename, "")
     if isinstance(value, bool | int | float | str | tuple):
         return repr(value)
+    if isinstance(value, type) and issubclass(value, tuple):  # a kernel reads a named tuple's fields by their places
+        return repr(getattr(value, "_fields", ()))
     if isinstance(value, np.ndarray):
         return hashlib.sha256(value.tobytes()).hexdigest()
     if isinstance(value, ModuleType) and value.__name__.startswith("annulus_pipe.") and value.__file__:

@@ -8,7 +8,6 @@ from annulus_pipe.report.account import Account
 from annulus_pipe.report.pdf import Paper, check_pdf
 from annulus_pipe.report.results import FILES, prepare_folder, write
 from annulus_pipe.report.whole import keep_windows, write_whole, write_window
-from annulus_pipe.wings.fringe.plate_page import write_plate
 
 __all__ = [
     "FILES",
@@ -18,7 +17,6 @@ __all__ = [
     "keep_windows",
     "prepare_folder",
     "write",
-    "write_plate",
     "write_whole",
     "write_window",
 ]

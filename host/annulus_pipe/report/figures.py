@@ -25,7 +25,7 @@ from annulus_pipe.report.marks import marks_of
 from annulus_pipe.report.paper import DEVIATION, UNSEEN, Stretch, in_style, round_up
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wings.crossbore.picture import draw_lane
+from annulus_pipe.wings import Sheet, sheets
 
 SHORT_M = 3.3  # so much goes into one map without sheets
 
@@ -43,7 +43,7 @@ class Pictures:
     features: tuple[tuple[str, bytes], ...]  # letter or question mark, picture
     course: bytes | None  # of a pipe that is not one straight, even tube
     cameras: bytes | None  # which of several saw what, and how well
-    lane: bytes | None = None  # of sectors that look through the wall
+    beside: tuple[Sheet, ...] = ()  # what wings have to show
     sheets: tuple[tuple[str, bytes], ...] = ()  # of a long pipe: caption, picture
     sheet_mm: float = 0.0
     sheet_scale: str = ""
@@ -74,8 +74,8 @@ def draw(survey: Survey, observations: Sequence[Observation] = ()) -> Pictures:
             scale_mm=scale,
             features=draw_features(survey),
             course=draw_course(survey),
+            beside=sheets(survey),
             cameras=cameras(survey, whole) if len(survey.cameras) > 1 else None,
-            lane=None if survey.lane is None else draw_lane(survey.lane),
             sheets=tuple(
                 (
                     f"Sheet {k} of {len(lengths)}: {span(first, last, DISTANCE)}",

@@ -110,7 +110,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, 
     captions = {one["number"]: f"{one['number']}: {one['name'].lower()}" for one in (*features, *undecided)}
     inlined = {
         name: None if data is None else inline(data)
-        for name in ("unwrapped", "texture", "cameras", "stations", "lane", "course")
+        for name in ("unwrapped", "texture", "cameras", "stations", "course")
         for data in (getattr(pictures, name),)
     }
     values = {
@@ -122,7 +122,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, 
         "rows": [_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
         "features": features,
         "undecided": undecided,
-        "told": "" if survey.lane is None else survey.lane.remark,
+        "beside": [(one.title, inline(one.picture), one.shows, one.note) for one in pictures.beside],
         "pictures": [(captions[name], inline(data)) for name, data in pictures.features],
         "verdict": _verdict(survey),
         "look": _look(survey),

@@ -75,7 +75,7 @@ def write(
         write_centreline(staging / "centreline.json", survey)
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
-        summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
+        summary = summarize(survey, account, 1e3 * (time.perf_counter() - started), pictures.beside)
         page = render_page(survey, summary, pictures, **client.values(survey, account), windows=[])
         write_page(staging, page, paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)

@@ -3,8 +3,7 @@
 import importlib.metadata
 import math
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -23,9 +22,10 @@ from annulus_pipe.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import Unjudged
 from annulus_pipe.wall.vibration import Vibration
+from annulus_pipe.wings import Sheet
 
 
-def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, Any]:
+def summarize(survey: Survey, account: Account, files_ms: float, beside: Sequence[Sheet] = ()) -> dict[str, Any]:
     """The figures of one scan as in summary.json: mm, degrees, None where nothing could be measured. files_ms: what the
     other files took."""
     start, end = survey.scanned_mm
@@ -98,8 +98,8 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "several" if one is None else str(one): stored(100.0 * part)
             for one, part in survey.seen_by_fraction().items()
         }
-    if survey.lane is not None:
-        out["sectors"] = {"told": survey.lane.remark, "places": [asdict(mark) for mark in survey.lane.marks]}
+    for one in beside:
+        out |= one.summary
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
     if account.verdict is not None:

@@ -72,7 +72,7 @@ def write_whole(
         write_stations(staging / "stations.csv", pipe.stations)
         _write_walls(staging / WALL, [folder / WALL for folder in folders])
         write_centreline(staging / "centreline.json", pipe)
-        summary = summarize(pipe, account, 1e3 * (time.perf_counter() - started))
+        summary = summarize(pipe, account, 1e3 * (time.perf_counter() - started), pictures.beside)
         summary["windows"] = [_window_summary(folder) for folder in folders]
         more = client.values(pipe, account) | {"windows": [_row(one) for one in summary["windows"]]}
         write_page(staging, render_page(pipe, summary, pictures, **more), paper)

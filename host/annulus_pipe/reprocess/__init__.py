@@ -3,7 +3,8 @@
 `method` is the one place where a head's method is chosen, and has the one function from a frame to its profile: the
 daemon's workers call it live, everything else goes through `engine`. An executor says where chunks of frames are worked
 on (this process, local processes). What comes out is the same to the bit whichever it is: what must be decided once per
-scan is decided before, and chunks are fixed. A scan under fringes has no profile a frame: `fringe` takes it whole.
+scan is decided before, and chunks are fixed.
+A scan that has no profile a frame belongs to a wing: `wings.opened` says so.
 
 >>> pipe = survey_of("scan.mcap")
 """
@@ -12,40 +13,29 @@ from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.reprocess.engine import LedFrames, Reprocessed, look_at, measure, reprocess, survey_of
 from annulus_pipe.reprocess.executors import Executor, Failed, Processes, Work, in_process
 from annulus_pipe.reprocess.job import Job, open_job, stage_medians
-from annulus_pipe.reprocess.method import Method, fringes_on, method_for, warm_up
+from annulus_pipe.reprocess.method import Method, method_for, warm_up
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.photographs import photographs
 from annulus_pipe.reprocess.whole import Surveyed, surveyed
-from annulus_pipe.wings.fringe.job import FringeJob, open_fringe
-from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
-from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 
 __all__ = [
     "Executor",
     "Failed",
-    "FringeJob",
-    "FringePipeJob",
     "Job",
     "LedFrames",
-    "MeasuredPipe",
     "Method",
     "Processes",
     "Reprocessed",
     "Surveyed",
     "Work",
-    "fringes_on",
     "in_process",
     "look_at",
     "make_ready",
     "measure",
     "method_for",
-    "open_fringe",
-    "open_fringe_pipe",
     "open_job",
     "photographs",
     "prior_of",
-    "reconstruct_fringe",
-    "reconstruct_fringe_pipe",
     "reprocess",
     "stage_medians",
     "survey_of",

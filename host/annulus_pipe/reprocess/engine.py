@@ -31,7 +31,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import LedFrame
-from annulus_pipe.wings.crossbore.recorded import with_bores
+from annulus_pipe.wings import added
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
@@ -56,13 +56,13 @@ class Reprocessed:
     timing_ms: Mapping[str, float]
 
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
-        """What profiles, LED frames and capacitive sectors say of the pipe; see `wall.survey`, `with_bores`."""
+        """What profiles, LED frames and other sensors say of the pipe; see `wall.survey`, `wings.added`."""
         leds = LedFrames(self.job, progress)
         turns, job = turns_of(self.job.scan), self.job
         scale = find_scale(self.profiles, job.calibration, job.sections, prior_of(job.scan))
         pipe = survey(self.profiles, job.calibration, leds, turns=turns, vibration=vibration, fps=fps, scale=scale)
         pipe = replace(pipe, disbelieved=(*pipe.disbelieved, *leds.findings()))
-        return with_bores(self.job.scan, self.profiles, pipe)
+        return added(pipe, self.job.scan, self.profiles)
 
 
 def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey:

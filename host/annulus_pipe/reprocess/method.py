@@ -1,8 +1,7 @@
 """Which method a head's frames need, and the one function from the frames of a flash to their profile."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
@@ -11,9 +10,8 @@ from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Trouble, examine
 from annulus_pipe.rings.reconstructor import Reconstructor
-from annulus_pipe.scans.scan import ScanFrame, open_scan
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.stereo import StereoReconstructor, swapped
-from annulus_pipe.storage.calibration_file import load_sections
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wall.profile import Profile
 
@@ -33,25 +31,6 @@ class Frame(Protocol):
 # flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its camera's,
 # ValueError for a frame whose place along the pipe is not known.
 Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
-
-
-def fringes_on(scan: Path, calibration: Path | None) -> Literal["plate", "pipe"] | None:
-    """Which wall a scan shows under fringes, by its calibration or the one a recording carries; None under other light.
-    Such a scan goes to `reprocess.fringe` or `fringe_pipe`, for a height follows from many frames together; all others
-    to the engine.
-
-    Raises AnnulusError where a file cannot be read."""
-    if calibration is None:
-        known = open_scan(scan).calibration
-        return "pipe" if known is not None and known.kind == "fringe" else None
-    sections = load_sections(calibration)
-    pattern = sections.get("pattern")
-    if not isinstance(pattern, dict) or pattern.get("kind", "slits") != "fringe":
-        return None
-    slide = pattern.get("projector")
-    rings = isinstance(slide, dict) and slide.get("kind") == "rings"
-    in_pipe = rings or "projectors" in pattern or ("pipe" in sections and "distance_mm" not in sections)
-    return "pipe" if in_pipe else "plate"
 
 
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:

@@ -73,6 +73,12 @@ def _sources() -> str:
     return _digest(root, [root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")])
 
 
+def digest_of(folder: str) -> str:
+    """Of the sources in a folder of the package: what a wing measures with."""
+    root = Path(str(resources.files("annulus_pipe")))
+    return _digest(root, (root / folder).rglob("*.py"))
+
+
 def _digest(root: Path, paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in sorted(paths):

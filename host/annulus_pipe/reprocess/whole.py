@@ -33,7 +33,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.windows import POINTS_MAX, Reach, plan
-from annulus_pipe.wings.crossbore.recorded import with_bores
+from annulus_pipe.wings import added
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
 WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
@@ -143,7 +143,7 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps, scale=scale
         )
-        complete = with_bores(done.job.scan, done.profiles, pipe)
+        complete = added(pipe, done.job.scan, done.profiles)
         timing_ms = {**done.timing_ms, **timing}
         return Surveyed(done.job, complete, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
     with _ranges_in(place, keep):
@@ -160,7 +160,7 @@ def surveyed(
         pipe, numbers, timing = survey_windows(
             ranged.job, filed, cut, files, _fewer(executor), progress, vibration=vibration, fps=fps, scale=scale
         )
-    complete = with_bores(ranged.job.scan, _poses(ranged), pipe)
+    complete = added(pipe, ranged.job.scan, _poses(ranged))
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
     return Surveyed(ranged.job, complete, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
 

@@ -1,11 +1,13 @@
 """How far each point may be off in radius: what the frame itself shows, and what calibration and pose leave open."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.numeric.jit import around, jit, middle
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.rings.polar import PolarGrid, ring_pixels
@@ -63,22 +65,9 @@ def point_sigma(
     - the pose, by its covariance, and the calibration, by its own.
     """
     out, drawn = np.empty(len(ring), np.float32), np.empty(len(calibrated_mm))
-    _combine(
-        ring,
-        direction,
-        points_mm,
-        fit.pose.rotation,
-        fit.pose.translation,
-        fit.covariance,
-        edge_blur,
-        width_off_px,
-        clipped,
-        optics.mm_per_px,
-        calibrated_mm,
-        bias_px,
-        out,
-        drawn,
-    )
+    slits = _Slits(ring, direction, points_mm, edge_blur, width_off_px, clipped)
+    pose = _Placed(fit.pose.rotation, fit.pose.translation, fit.covariance)
+    _combine(slits, pose, optics.mm_per_px, calibrated_mm, bias_px, out, drawn)
     fixed = np.hypot(bias_px * optics.mm_per_px, calibrated_mm.mean(axis=1))
     return out, np.stack([drawn, fixed], axis=1).astype(np.float32)
 
@@ -127,23 +116,31 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
     return np.stack([np.interp(turn, coarse, row, period=2 * np.pi) for row in sigma])
 
 
+class _Slits(NamedTuple):
+    """The points, (N,) each, as `point_sigma` takes them."""
+
+    ring: IntArray
+    direction: IntArray
+    points: FloatArray  # (N, 3) mm, camera frame
+    edge_blur: FloatArray
+    width_off: FloatArray  # px
+    clipped: BoolArray
+
+
+class _Placed(NamedTuple):
+    """The sensor in the pipe, and how well that is known."""
+
+    rotation: FloatArray  # (3, 3)
+    shift: FloatArray  # (3,) mm
+    covariance: FloatArray  # (4, 4) of rx, ry, tx, ty
+
+
 @jit
-def _combine(  # type: ignore[no-untyped-def]
-    ring,
-    direction,
-    points,
-    rotation,
-    shift,
-    covariance,
-    edge_blur,
-    width_off,
-    clipped,
-    mm_per_px,
-    calibrated,
-    least,
-    out,
-    drawn,
-):
+def _combine(slits, placed, mm_per_px, calibrated, least, out, drawn):  # type: ignore[no-untyped-def]
+    """Written: `out` (N,) and `drawn` (K,), the sigmas of `point_sigma`, mm. least : px, of every place's bias."""
+    ring, direction, points = slits.ring, slits.direction, slits.points
+    edge_blur, width_off, clipped = slits.edge_blur, slits.width_off, slits.clipped
+    rotation, shift, covariance = placed.rotation, placed.shift, placed.covariance
     rings, directions = calibrated.shape
     radius = np.zeros((rings, directions))  # 0: no point
     pose = np.empty(len(ring))

@@ -13,11 +13,12 @@ other beyond what their sigmas allow, and neither is believed.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.numeric.jit import around, jit
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.stereo.lens import on_line
@@ -94,57 +95,74 @@ def merge(
     usable : (C, K, P) where each camera is asked, and all count alike; None, everywhere, by what each says.
     """
     shape = start_mm.shape
-    distance, sigma, apart = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
-    camera, heaviest, line, state = (np.zeros(shape, np.int64) for _ in range(4))
     course = np.stack([e.course for e in expected])
-    _solve(
-        np.stack([view.lens for view in views]),
-        vertices,
-        ways,
-        start_mm,
-        np.stack([e.by_generator for e in expected]),
-        course,
-        np.stack([s.place for s in sights]) - course,
-        np.stack([s.sigma_px for s in sights]),
-        np.stack([s.edge_px for s in sights]),
-        np.array([s.bias_px for s in sights]),
-        sigma_most_mm,
-        np.ones((1, 1, 1), np.bool_) if usable is None else usable,
-        usable is not None,
-        distance,
-        sigma,
-        camera,
-        heaviest,
-        line,
-        state,
-        apart,
+    generators = _Generators(vertices, ways, start_mm, sigma_most_mm)
+    stacked = _Sights(
+        lenses=np.stack([view.lens for view in views]),
+        expected=np.stack([e.by_generator for e in expected]),
+        course=course,
+        stray=np.stack([s.place for s in sights]) - course,
+        sigma_px=np.stack([s.sigma_px for s in sights]),
+        edge_px=np.stack([s.edge_px for s in sights]),
+        bias_px=np.array([s.bias_px for s in sights]),
+        usable=np.ones((1, 1, 1), np.bool_) if usable is None else usable,
     )
-    return Merged(distance, sigma, camera, heaviest, line, state, apart)
+    solved = _Solved(
+        distance=np.full(shape, np.nan),
+        sigma=np.full(shape, np.nan),
+        camera=np.zeros(shape, np.int64),
+        heaviest=np.zeros(shape, np.int64),
+        line=np.zeros(shape, np.int64),
+        state=np.zeros(shape, np.int64),
+        apart=np.full(shape, np.nan),
+    )
+    _solve(generators, stacked, usable is not None, solved)
+    return Merged(*solved)
+
+
+class _Generators(NamedTuple):
+    """The generators of K rings, P each, as `_solve` takes them."""
+
+    vertices: FloatArray  # (K, 3) mm
+    ways: FloatArray  # (K, P, 3) unit
+    start: FloatArray  # (K, P) mm, how far a clean pipe is along them
+    limit: FloatArray  # (K,) mm: a distance known no better is not known
+
+
+class _Sights(NamedTuple):
+    """What C cameras saw of them on their lines (J), and where a clean pipe would show them."""
+
+    lenses: FloatArray  # of each camera, as `on_line` takes it
+    expected: FloatArray  # (C, 4, K, P) line and sample of a clean pipe, and what they change by in a mm
+    course: FloatArray  # (C, K, J) sample of a clean pipe on each line
+    stray: FloatArray  # (C, K, J) sample seen less that, NaN for nowhere
+    sigma_px: FloatArray  # (C, K, J)
+    edge_px: FloatArray  # (C, K, J) of that what a slit across an edge of the wall may be off
+    bias_px: FloatArray  # (C,) what neighbours may be off together
+    usable: BoolArray  # (C, K, P) where each camera is asked, if gated; else of any shape
+
+
+class _Solved(NamedTuple):
+    """What is written, (K, P) each: the fields of `Merged`, in its order."""
+
+    distance: FloatArray
+    sigma: FloatArray
+    camera: IntArray
+    heaviest: IntArray
+    line: IntArray
+    state: IntArray
+    apart: FloatArray
 
 
 @jit
-def _solve(  # type: ignore[no-untyped-def]
-    lenses,
-    vertices,
-    ways,
-    start,
-    expected,
-    course,
-    stray,
-    sigma_px,
-    edge_px,
-    bias_px,
-    limit,
-    usable,
-    gated,
-    distance,
-    sigma,
-    camera,
-    heaviest,
-    line,
-    state,
-    apart,
-):
+def _solve(generators, sights, gated, solved):  # type: ignore[no-untyped-def]
+    """The wall along every generator: `_Generators` and `_Sights` in, `_Solved` out. gated : see `merge`'s `usable`."""
+    vertices, ways = generators.vertices, generators.ways
+    start, limit = generators.start, generators.limit
+    lenses, expected, course, stray = sights.lenses, sights.expected, sights.course, sights.stray
+    sigma_px, edge_px, bias_px, usable = sights.sigma_px, sights.edge_px, sights.bias_px, sights.usable
+    distance, sigma, camera, heaviest = solved.distance, solved.sigma, solved.camera, solved.heaviest
+    line, state, apart = solved.line, solved.state, solved.apart
     cameras = len(lenses)
     rings, steps = start.shape
     left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)

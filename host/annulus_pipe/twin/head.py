@@ -34,9 +34,10 @@ from annulus_pipe.link.pins import AS_WIRED, Pins, pins_list
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.profiles import load_faults
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import World, demo_world, mirror_fringe_world, series_world, stereo_world
+from annulus_pipe.twin.worlds import World, demo_world, stereo_world
+from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.crossbore.ground import ROOM_M, Ground, some_ground
+from annulus_pipe.wings import merged
 
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
@@ -44,11 +45,9 @@ TRIGGERED_READOUT_US = 14_300.0  # of the Global Shutter camera
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
 _START_S = 300.0  # the first start of a fresh install compiles the renderer, on a small machine too
-HEADS: Mapping[str, Callable[[int], World]] = {  # by seed
+HEADS: Mapping[str, Callable[[int], World]] = {  # by seed; and those of wings
     "ring": demo_world,
     "stereo": stereo_world,
-    "fringe": series_world,
-    "fringe-mirror": mirror_fringe_world,
 }
 
 
@@ -141,7 +140,6 @@ def start_head(
     threads: int | None = None,
     board: str = "native",
     others: Sequence[Faults] = (),
-    ground: Ground | None = None,
     pins: Pins = AS_WIRED,
     trigger: str = "none",
 ) -> HeadHandle:
@@ -151,7 +149,7 @@ def start_head(
     speed_mm_s : of the cable, which starts 2 s after the camera was first started; None: 3 mm a frame, 0: not before
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
     core, two at most. board : native or emulated, the shipped image. others : what the drivers of further cameras do,
-    where that is not what the first one's does. ground : what the pipe lies in, for a head with capacitive sectors.
+    where that is not what the first one's does.
     pins : how it is wired. trigger : what its cameras take, as in head.toml.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
@@ -167,7 +165,6 @@ def start_head(
         "drift_ppm": drift_ppm,
         "threads": threads or default_threads(),
         "board": board,
-        "ground": None if ground is None else asdict(ground),
         "pins": asdict(pins),
         "trigger": trigger,
     }
@@ -277,32 +274,33 @@ def run_head(
     pins: Pins = AS_WIRED,
     trigger: str = "none",
 ) -> None:
-    """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
+    """A head, of HEADS or the wings' worlds, in its pipe until Ctrl-C, for a daemon or `annulus head` elsewhere.
 
     Prints the head.toml that finds it, or writes it into `out`, with the calibration and the truth beside it. The head
     rolls by `roll_deg` either way on its way through the pipe. buried_m : the pipe is so long and lies in a ground with
     sewers that it was drilled through, and the head has capacitive sectors.
     """
-    if head not in HEADS:
-        raise AnnulusError(f"head {head!r}: expected one of {', '.join(HEADS)}")
-    world = replace(HEADS[head](seed), roll_deg=roll_deg)
-    ground = None
+    heads = {**HEADS, **merged("worlds")}
+    if head not in heads:
+        raise AnnulusError(f"head {head!r}: expected one of {', '.join(heads)}")
+    world = replace(heads[head](seed), roll_deg=roll_deg)
+    if not isinstance(world.projector, Projector) and world.projector.in_turn:
+        raise AnnulusError(f"head {head!r}: its slides are lit in turn, expected one that every flash lights")
     if buried_m is not None:
-        ground = some_ground(1000 * buried_m, seed, bores=int((buried_m / ROOM_M - 5) / 2), near=0)
-        world = replace(world, travel_mm=1000 * buried_m)
+        ground = merged("lights")["ground"].along(1000 * buried_m, seed)
+        world = replace(world, travel_mm=1000 * buried_m, ground=ground)
     for number in range(
         len(world.cameras)
     ):  # compiles here, where who waits can be told, and not in the head's process
         Renderer(world, number).render(world.pose(0.0), 0.0, 1.0, rows=(0, 8))
-    with start_head(world, fps, faults, seed=seed, board=board, ground=ground, pins=pins, trigger=trigger) as running:
+    with start_head(world, fps, faults, seed=seed, board=board, pins=pins, trigger=trigger) as running:
         if out is None:
             print(head_toml(running, world), flush=True)
         else:
             try:
                 out.mkdir(parents=True, exist_ok=True)
                 (out / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
-                truth = world.truth() | ({} if ground is None else {"ground": asdict(ground)})
-                (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+                (out / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
                 (out / "head.toml").write_text(head_toml(running, world, Path("calibration.json")))
             except OSError as error:
                 raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None

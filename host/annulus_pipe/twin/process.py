@@ -36,7 +36,6 @@ from annulus_pipe.twin.sensors import HeadSensors
 from annulus_pipe.twin.triggered import sensor_of
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.crossbore.ground import ground_of
 
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
 LEVEL = 20  # of SCHED_FIFO, 1..99; before the daemon's 10
@@ -141,10 +140,7 @@ class Head:
         self.sensor = sensor_of(
             self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start, pins=pins, trigger=trigger
         )
-        ground = None if order.get("ground") is None else ground_of(order["ground"])
-        self.sensors = HeadSensors(
-            self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed, ground=ground
-        )
+        self.sensors = HeadSensors(self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed)
         threads = max(1, int(order["threads"]) // len(renderers))
         self.cameras = []
         for number, renderer in enumerate(renderers):

@@ -17,7 +17,7 @@ from annulus_pipe.twin.lights.slide import slides_of, through
 from annulus_pipe.twin.rays import Eye, eye_at, meet_cylinder, ray_table
 from annulus_pipe.twin.stretch import COLUMN, CX, F32, LEVEL, PAINT, PIXELS, PLAIN, SCRATCH, U8, Real, Stretch, Z, jit
 from annulus_pipe.twin.walls import PER_Z, Wall, meet_wall, wall_of
-from annulus_pipe.twin.worlds.sensor_head import Fringes
+from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
 
 _NOISE = 1 << 20
@@ -224,9 +224,8 @@ class Renderer:
         albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._paint = Paint(albedo, np.array(world.albedo, np.float32))
         self._slides = slides_of(world)
-        fringes = isinstance(world.projector, Fringes)
         tables = [
-            ray_table(world, self._seen, slide.coordinate if world.others or fringes else None)
+            ray_table(world, self._seen, slide.coordinate if world.others or slide.by_coordinate else None)
             for slide in self._slides
         ]
         self._rays, self._starts = [rays for rays, _ in tables], tables[0][1]
@@ -269,7 +268,8 @@ class Renderer:
         if self._tube is not None:
             return self._render_course(pose, z_mm, gains, frame, rows or (0, self.height), seed)
         assert self._wall is not None
-        lit = self.world.projector.lit(slot) if isinstance(self.world.projector, Fringes) else 0
+        light = self.world.projector
+        lit = 0 if isinstance(light, Projector) else light.lit(slot)
         eye = eye_at(self._rays[lit], self._seen, pose, z_mm)
         first = eye if self._number == 0 else eye_at(self._rays[lit], self._first, pose, z_mm)
         noise = (seed + self._number * _APART) & 0x7FFFFFFF

@@ -13,8 +13,8 @@ import numpy as np
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.scans.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import WORLDS, World, translucent
-from annulus_pipe.twin.worlds.sensor_head import Fringes
+from annulus_pipe.twin.worlds import World, every_world, translucent
+from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import WAVES
 from annulus_pipe.vocabulary import AnnulusError, Label
 
@@ -25,11 +25,12 @@ LEANS_ABOUT = 1.5  # radii from the camera: a head that leans stands off the axi
 def world_named(
     name: str, seed: int, defects: bool = True, lean_deg: float | None = None, red_mm: float | None = None
 ) -> World:
-    """One of WORLDS, its head leaning by `lean_deg` at most, its wall one that light enters (`translucent`), if given.
+    """One of `every_world`; if given, its head leans by `lean_deg` at most, and light enters its wall (`translucent`).
     Raises AnnulusError for a name that is none, or a world whose wall is not drawn so."""
-    if name not in WORLDS:
-        raise AnnulusError(f"world {name!r}: expected one of {', '.join(WORLDS)}")
-    world = WORLDS[name](seed)
+    worlds = every_world()
+    if name not in worlds:
+        raise AnnulusError(f"world {name!r}: expected one of {', '.join(worlds)}")
+    world = worlds[name](seed)
     if not defects:
         world = replace(world, features=())
     if lean_deg is not None:
@@ -60,13 +61,13 @@ def write_scan(
         with (folder / TABLE).open("w", newline="") as file:
             table = csv.writer(file)
             light = world.projector
-            fringes = light if isinstance(light, Fringes) and any(slide.slots for slide in light.slides) else None
-            extra = [*([ROLL] if world.roll_deg else []), *([CAMERA] if several else []), *([SLOT] if fringes else [])]
+            turning = light if not isinstance(light, Projector) and light.in_turn else None
+            extra = [*([ROLL] if world.roll_deg else []), *([CAMERA] if several else []), *([SLOT] if turning else [])]
             table.writerow([*COLUMNS, *extra])
             for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
                 slot = index % LED_EVERY
                 led = slot == LED_EVERY - 1
-                looks = fringes.slides[fringes.lit(slot)].cameras if fringes and not led else ()
+                looks = turning.looking(slot) if turning and not led else ()
                 lamp = (Label.LED if led else Label.PROJECTOR).value
                 pose = world.pose(z_mm)
                 roll = [] if pose.roll is None else [f"{math.degrees(pose.roll):.3f}"]
@@ -76,7 +77,7 @@ def write_scan(
                     raw = renderer.render(pose, z_mm, float(not led), float(led), slot=slot, seed=index)
                     name = f"frames/{index:06d}{f'-{camera}' if several else ''}.png"
                     cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-                    cells = [*([camera] if several else []), *([slot] if fringes else [])]
+                    cells = [*([camera] if several else []), *([slot] if turning else [])]
                     table.writerow([index, name, lamp, f"{z_mm:.4f}", *roll, *cells])
                 if progress is not None:
                     progress("frames", index + 1, frames)

@@ -19,7 +19,6 @@ from annulus_pipe.twin.faults import NO_FAULTS, Faults
 from annulus_pipe.twin.image_sensor import HostClock
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.crossbore.ground import MUX_S, Buried, Ground
 
 LATE_NS = 500_000  # the bus is read so long after a value was taken, at most
 GRAVITY_M_S2 = 9.81
@@ -37,7 +36,7 @@ class HeadSensor(Protocol):
         """
 
 
-class _Steady:
+class Steady:
     """A sensor that reads at an even rate, whatever the lamps do."""
 
     RATE_HZ: ClassVar[float]
@@ -55,7 +54,7 @@ class _Steady:
         raise NotImplementedError
 
 
-class Imu(_Steady):
+class Imu(Steady):
     """Accelerometer and gyroscope, with the roll that its own filter makes of them.
 
     Frame: the camera's, x right, y down, z ahead. A head at rest and level reads -9.81 m/s2 along y. `roll_deg` is the
@@ -157,42 +156,8 @@ class Supply:
         return Sample(self.name, self._clock.ns(tick) + int(rng.integers(LATE_NS)), values, self.UNITS)
 
 
-class Capacitance(_Steady):
-    """Three capacitive sectors and a reference, through the wall of a pipe in the ground: see twin.capacitance.
-
-    The ground lies along the world's pipe; the head's place, roll and offset are the world's, and so is its speed.
-    """
-
-    name = "capacitance"
-    RATE_HZ = 40.0
-    NOISE_FF, LOSS_FF = 0.6, 1.5  # rms
-
-    def __init__(
-        self, ground: Ground, world: World, cable: Cable, clock: HostClock, start_tick: int = 0, seed: int = 0
-    ) -> None:
-        self._buried = Buried(ground, seed)
-        self._world, self._cable, self._clock, self._seed = world, cable, clock, seed
-        self._start, self._taken = start_tick, 0
-
-    def _at(self, tick: int, index: int) -> Sample:
-        rng = np.random.default_rng([self._seed, 7, index])
-        values: dict[str, float] = {}
-        for k in range(3):  # one after the other
-            z_mm = self._cable.z_mm(tick + round(MUX_S * k / TICK_S))
-            pose = self._world.pose(z_mm)
-            off = pose.to_pipe(np.zeros((1, 3)))[0, :2]
-            roll = 0.0 if pose.roll is None else math.degrees(pose.roll)
-            c, loss = self._buried.sees(z_mm, roll + 120.0 * k, (float(off[0]), float(off[1])))
-            values[f"c{k + 1}_pf"] = (c + self.NOISE_FF * rng.standard_normal()) / 1000
-            values[f"loss{k + 1}_ff"] = loss + self.LOSS_FF * rng.standard_normal()
-        values["cref_pf"] = 4.697 + 3e-4 * rng.standard_normal()
-        units = {name: "pF" if name.endswith("_pf") else "fF" for name in values}
-        host_ns = self._clock.ns(tick) + int(rng.integers(LATE_NS))
-        return Sample(self.name, host_ns, {name: float(value) for name, value in values.items()}, units)
-
-
 class HeadSensors:
-    """All sensors of the simulated head. A new one is a class and a line in `__init__`."""
+    """All sensors of the simulated head: a new one is a line in `__init__`, or comes with the world's ground."""
 
     def __init__(
         self,
@@ -203,14 +168,13 @@ class HeadSensors:
         *,
         start_tick: int = 0,
         seed: int = 0,
-        ground: Ground | None = None,
     ) -> None:
         self._sensors: tuple[HeadSensor, ...] = (
             Imu(world, cable, clock, start_tick, seed),
             Supply(clock, start_tick, seed),
         )
-        if ground is not None:
-            self._sensors += (Capacitance(ground, world, cable, clock, start_tick, seed),)
+        if world.ground is not None:
+            self._sensors += tuple(world.ground.sensors(world, cable, clock, start_tick, seed))
         self._silences: list[tuple[str, int, int]] = []  # name, from, until in host ns
         for name, after_s, lasting_s in faults.sensors_silent:
             self.silence(name, clock.ns(start_tick) + round(after_s * 1e9), lasting_s)

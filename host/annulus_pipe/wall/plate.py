@@ -36,6 +36,8 @@ class Plate:
     findings: tuple[Finding, ...]
     timing_ms: Mapping[str, float]
     by: str = "slide"
+    windows: int = 1  # of the scan, measured one after the other ..
+    made: int = 1  # .. and how many of those now
 
     @property
     def points(self) -> int:

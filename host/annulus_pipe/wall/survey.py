@@ -4,7 +4,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -27,7 +27,6 @@ from annulus_pipe.wall.grid import Wall, build_wall
 from annulus_pipe.wall.gyro import NO_TURNS, Turns
 from annulus_pipe.wall.indications import Scale
 from annulus_pipe.wall.joints import common_mm, find_joints, taken, without_hidden
-from annulus_pipe.wall.lane import Lane
 from annulus_pipe.wall.levels import covered, without_levels
 from annulus_pipe.wall.looks import looks_of
 from annulus_pipe.wall.lost import lost_rings, objects_before_the_wall
@@ -81,7 +80,7 @@ class Survey:
     timing_ms: Mapping[str, float]
     cameras: tuple[int, ...]
     light: str = "LED light"  # that `texture` shows the wall in
-    lane: Lane | None = None  # of sectors that look through the wall
+    beside: Mapping[str, object] = field(default_factory=dict)  # what wings have to say of the pipe, by their names
     rings_lost: tuple[Finding, ...] | None = None  # of the pattern; None: as `profiles` show
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
     unjudged: tuple[Unjudged, ...] = ()  # where a limit may be broken although nothing listed breaks it

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.reprocess.places import incomplete_findings

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from annulus_pipe.archive.catalogue import add
 from annulus_pipe.archive.catalogue.query import _apart
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.extras import need
 
 MOMENTS = {  # SQL, and the text that stands for it

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from annulus_pipe.calibrate.sample import sample
 from annulus_pipe.calibrate.wall import measure_wall
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.geometry.translucency import slit_shift_mm
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.rings.reconstructor import Reconstructor

@@ -19,7 +19,7 @@ import pytest
 from browser import chromium, faults, opened
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus_pipe.report import Account, Paper, write, write_plate
+from annulus_pipe.report import Account, Paper, write
 from annulus_pipe.report.pdf import to_pdf
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall import LedFrame, survey
@@ -27,6 +27,7 @@ from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, Measure
 from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.fringe.plate_page import write_plate
 from annulus_pipe.wings.joints.page import write_joint_page
 
 PAGES = ("damaged", "sound", "plate", "joint")

@@ -20,7 +20,7 @@ from annulus_pipe.archive.catalogue.columns import (
     VIEWS,
 )
 from annulus_pipe.archive.catalogue.questions import QUESTIONS
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.extras import need
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results

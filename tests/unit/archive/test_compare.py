@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from annulus_pipe.archive.comparison import Comparison, compare_maps
 from annulus_pipe.archive.wall_map import WallMap
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.archive.pairs import Pair, Scene, draw
 

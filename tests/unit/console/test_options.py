@@ -15,7 +15,7 @@ from browsing import running
 from fake_daemon import FakeDaemon
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.console import serving
 from annulus_pipe.console.access import Password
 from annulus_pipe.console.program import Daemon, Door, Program

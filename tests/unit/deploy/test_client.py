@@ -7,7 +7,7 @@ import pytest
 import typer
 import yaml
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 
 DEPLOY = Path(__file__).parents[3] / "tools/deploy"
 

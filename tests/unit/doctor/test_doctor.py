@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe import doctor
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.daemon import cameras as daemon_cameras
 from annulus_pipe.daemon.check import Finding
 from annulus_pipe.doctor import drive, lines, machine

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.cli.export import To
 from annulus_pipe.export import FORMS, available, open_results, write
 from annulus_pipe.extras import EXTRA_OF, adds

@@ -1,5 +1,6 @@
 """Promises about labels and the camera's offset, in virtual time: a clockwork of edges and frames, ratio 4."""
 
+import random
 from dataclasses import replace
 
 import pytest
@@ -36,17 +37,22 @@ class Clockwork:
 
     def __init__(self, offset_ns: int) -> None:
         self.offset_ns, self.told = offset_ns, []
+        self.preamble = range(0)  # its edges: of an order that does not repeat
+        self.kept = 0  # frames that the driver holds: it hands over, counts and stamps an older picture
         self.navigation = Navigation(0.05)
         self.labelling = Labelling(MODE, self.navigation, lambda kind, text: self.told.append((kind, text)), False)
 
     def lamp(self, edge: int) -> Lamp:
+        if edge in self.preamble:
+            return random.Random(edge).choice([Lamp.PROJECTOR, Lamp.LED])
         return Lamp.LED if edge % 5 == 4 else Lamp.PROJECTOR
 
     def frame(self, k: int, delay: int = 1, width: int = 1) -> FrameSeen:
         """Let edge k and its frame happen."""
-        flash = Flash(EdgeIndex(k), Tick(0), Slot(k % 5), self.lamp(k), delay, width, 20 * k, 1, 7, EdgeFlag(0))
+        flags = EdgeFlag.PREAMBLE if k in self.preamble else EdgeFlag(0)
+        flash = Flash(EdgeIndex(k), Tick(0), Slot(k % 5), self.lamp(k), delay, width, 20 * k, 1, 7, flags)
         self.navigation.heard(EdgeSeen(flash, k * PERIOD, 1000, 1))
-        light = Light.LED if self.lamp(k - 1) is Lamp.LED else Light.PROJECTOR
+        light = Light.LED if self.lamp(k - 1 - self.kept) is Lamp.LED else Light.PROJECTOR
         seen = FrameSeen(CameraSequence(k), k * PERIOD + self.offset_ns, k * PERIOD, picture(light), {})
         self.labelling.saw(seen)
         self.labelling.look_for_offset(k * PERIOD / 1e9)
@@ -102,6 +108,25 @@ def test_a_camera_that_changes_its_mind_is_unknown_until_its_new_offset_is_found
             last.append(header.label)
     assert any("now doubted" in text for _, text in clock.told)
     assert Label.UNKNOWN not in last[-100:]
+
+
+def test_a_camera_that_began_anew_is_unknown_until_a_preamble_since_then_proves_its_offset() -> None:
+    """Its stamps and pictures are a lamp cycle later from then on, which no run of frames of the cycle contradicts."""
+    clock, began = Clockwork(-28_000_000), 150
+    before = [clock.frame(k) for k in range(1, began)]
+    labelled = [clock.labelling.header(frame) for frame in before[:-1]]
+    assert Label.UNKNOWN not in [header.label for header in labelled[-100:]]
+    clock.labelling.restarted()
+    clock.kept, clock.preamble = 5, range(began + 50, began + 65)
+    for k in range(began, began + 50):
+        frame = clock.frame(k)
+        assert clock.labelling.wants_preamble and not clock.labelling.settled(frame, k * PERIOD)
+        assert clock.labelling.header(frame).reason == NOT_KNOWN
+    after = [clock.labelling.header(clock.frame(k)) for k in range(began + 50, began + 150)][-50:]
+    assert {header.edge - header.sequence for header in after if header.edge is not None} == {-6}
+    assert Label.UNKNOWN not in [header.label for header in after]
+    assert clock.labelling.numbers()["contradictions"] == {}
+    assert clock.labelling.header(before[-1]).reason == NOT_KNOWN  # what came before is none of this proof's
 
 
 def test_without_a_controller_labels_are_those_the_frames_bring() -> None:

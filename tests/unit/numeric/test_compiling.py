@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections import namedtuple
 from pathlib import Path
 from types import FunctionType
 
@@ -153,3 +154,14 @@ def test_a_kernel_is_the_same_to_whoever_imports_it() -> None:
         jit._stamps.pop(function.__code__.co_filename, None)
         stamps.append(jit.stamp_of(function))
     assert stamps[0] == stamps[1]
+
+
+def test_a_kernel_is_another_when_a_named_tuple_it_takes_has_its_fields_in_another_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kernel = jit.cos_sin.py_func.__code__
+    stamps = set()
+    for tube in (namedtuple("Tube", "radius length"), namedtuple("Tube", "length radius")):
+        monkeypatch.setattr(jit, "_stamps", {})
+        stamps.add(jit.stamp_of(FunctionType(kernel, vars(jit) | {"Tube": tube})))
+    assert len(stamps) == 2

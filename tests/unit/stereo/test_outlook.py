@@ -8,7 +8,7 @@ import pytest
 from drawn_head import RADIUS_MM, head
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.stereo.outlook import outlook
 from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.vocabulary import AnnulusError

@@ -3,7 +3,7 @@
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.link.pins import pins_of
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.soak import soak

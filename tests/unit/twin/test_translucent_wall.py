@@ -12,9 +12,10 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import World, clean_world, mirror_world, series_world, stereo_world, translucent
+from annulus_pipe.twin.worlds import World, clean_world, mirror_world, stereo_world, translucent
 from annulus_pipe.twin.worlds.fittings import FITTINGS
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.fringe.heads import series_world
 
 R = 76.2
 # px, sigma: the twin's lens and pixel (0.85), what demosaicing and the smoothing of lines add

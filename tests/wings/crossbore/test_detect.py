@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.ground import Bore, Drawn, Ground, log, some_ground, write
 from annulus_pipe.wings.crossbore.log_file import read_bore_log

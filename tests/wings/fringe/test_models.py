@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import write_scan
-from annulus_pipe.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+from annulus_pipe.twin.worlds import World
+from annulus_pipe.wings.fringe.heads import mirror_fringe_world, modules_world, series_world
 from annulus_pipe.wings.fringe.measure import pipe
 from tests import kept
 

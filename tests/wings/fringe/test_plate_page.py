@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.report import Account, write_plate
+from annulus_pipe.report import Account
 from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.fringe.plate_page import write_plate
 
 
 def test_a_plate_of_which_no_height_is_told_says_so(tmp_path: Path) -> None:

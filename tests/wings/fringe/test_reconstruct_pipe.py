@@ -11,7 +11,6 @@ from bores import LENS, RADIUS_MM, SLIDE
 
 from annulus_pipe.geometry.calibration import camera_to_dict
 from annulus_pipe.report import Account, write
-from annulus_pipe.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wings.fringe import calibrate_pipe as calibrate
@@ -20,6 +19,7 @@ from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe
 from annulus_pipe.wings.fringe.measure import PipeCalibration, PipeMap, projector_to_dict
 from annulus_pipe.wings.fringe.measure.bore import TERMS
 from annulus_pipe.wings.fringe.measure.placement import Head
+from annulus_pipe.wings.fringe.pipe import open_fringe_pipe, reconstruct_fringe_pipe
 
 STEP = RADIUS_MM / 200
 HEAD = {"id": 0, **camera_to_dict(LENS.camera), "rotation": LENS.rotation, "translation_mm": LENS.translation_mm}

@@ -8,8 +8,9 @@ import pytest
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import World, series_world
-from annulus_pipe.twin.worlds.sensor_head import Fringes
+from annulus_pipe.twin.worlds import World
+from annulus_pipe.wings.fringe.heads import series_world
+from annulus_pipe.wings.fringe.light import Fringes
 from annulus_pipe.wings.fringe.measure import Eye, Shots, measure_pipe
 
 pytestmark = pytest.mark.deep(gate="tests/wings/fringe/test_steps.py::test_a_slip_is_said_where_it_was")

@@ -14,9 +14,10 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import write_scan
-from annulus_pipe.twin.worlds import World, mirror_fringe_world, modules_world, series_world
-from annulus_pipe.twin.worlds.sensor_head import Fringes
+from annulus_pipe.twin.worlds import World
 from annulus_pipe.vocabulary import Label
+from annulus_pipe.wings.fringe.heads import mirror_fringe_world, modules_world, series_world
+from annulus_pipe.wings.fringe.light import Fringes
 from annulus_pipe.wings.fringe.measure import FringeHead
 
 MODELS = pytest.mark.parametrize("make", [series_world, modules_world, mirror_fringe_world])

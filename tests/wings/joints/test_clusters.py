@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.clusters import leave_one_out
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.twin.emulated import open_board
 from annulus_pipe.twin.real_time import serving
 from annulus_pipe.vocabulary import AnnulusError

@@ -8,7 +8,7 @@ import pytest
 from joint_scene import VOXEL, Scene, volume
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure import ArrayVolume, StripImage, strip
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.controller import CODES
 from annulus_pipe.link import operate
 from annulus_pipe.link.client import Client

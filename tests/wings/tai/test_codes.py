@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.controller import (
     BURST_PERIOD_MAX_TICKS,
     BURST_PERIOD_MIN_TICKS,

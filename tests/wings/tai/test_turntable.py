@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.link import operate
 from annulus_pipe.link.client import Client
 from annulus_pipe.link.messages import Move, StopCause, TurntableStop, TurntableStopped

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 from annulus_pipe.twin.scan import write_scan
-from annulus_pipe.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+from annulus_pipe.twin.worlds import World
+from annulus_pipe.wings.fringe.heads import mirror_fringe_world, modules_world, series_world
+from annulus_pipe.wings.fringe.pipe import open_fringe_pipe, reconstruct_fringe_pipe
 from tools.bench.table import Row
 
 EDGE_MM = 1.5  # nearer to a step the truth jumps

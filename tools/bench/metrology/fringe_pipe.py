@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.reprocess import MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus_pipe.wall.defects import Defect
 from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe, save_fringe_pipe
 from annulus_pipe.wings.fringe.measure import FringeProjector, PipeCalibration
+from annulus_pipe.wings.fringe.pipe import MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from tools.bench.table import SCENES, Row
 
 PIPE = SCENES / "fringe-pipe-a"

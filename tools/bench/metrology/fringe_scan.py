@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.reprocess import open_fringe, reconstruct_fringe
 from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
+from annulus_pipe.wings.fringe.job import open_fringe
+from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from tools.bench.metrology.fringe_pipe import judge
 from tools.bench.table import SCENES, Row
 

@@ -34,7 +34,8 @@ ASKING = "annulus_pipe.archive.catalogue.asking"
 BLOCK_MAX = 64 << 20  # bytes of rows that come at once; one row has no more
 READY, DAMAGE, REFUSED, BLOCK, END = b"R", b"D", b"E", b"B", b"Z"  # what a message of the process is
 HEAD = struct.Struct("<cQ")  # kind, bytes that follow
-_DAYS_MAX, _TICKS_MAX = (1 << 31) - 1, (1 << 63) - 1  # of a date, of a moment
+_DAYS_MAX = (1 << 31) - 1  # of a date: DuckDB's infinity
+_TICKS_MAX = (1 << 63) - 1  # .. and of a moment
 
 
 class Catalogue:

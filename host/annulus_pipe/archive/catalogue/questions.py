@@ -12,7 +12,9 @@ is not (`annulus archive compare` lays two surveys over each other).
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-DAYS, DAYS_MIN, DAYS_MAX = 365, 183, 548  # from a survey to "the year before": the seasons' scans of one pipe
+DAYS = 365  # from a survey to "the year before": the seasons' scans of one pipe ..
+DAYS_MIN = 183  # .. at least half of it, or it is of the same season ..
+DAYS_MAX = 548  # .. and at most one and a half, or it is of the year before that
 APART_MM = 10.0  # of two stations that may be held against each other; stations are 4 to 5 mm apart
 
 

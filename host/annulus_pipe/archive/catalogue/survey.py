@@ -42,7 +42,8 @@ ID_DIGITS = 12  # hexadecimal; of 100 000 surveys two would share them once in 5
 CLOCK_SINCE = date(2020, 1, 1)  # a computer without a battery starts in 1970: no day of a scan before this
 YEARS = (1900, 2200)  # of a date that somebody typed
 CALIBRATED_MAX = 20_000  # characters
-KINDS_MAX, OPEN_MAX = 20, 200  # limits of a place that a verdict leaves open; such places that are kept
+KINDS_MAX = 20  # limits of a place that a verdict leaves open
+OPEN_MAX = 200  # such places that are kept
 OUTSIDE = frozenset({"survey", "digest", "scan", "replaces", "results", "created_utc", "added_utc"})  # of the contents
 
 Row = Mapping[str, Any]

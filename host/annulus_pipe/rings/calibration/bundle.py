@@ -11,7 +11,16 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.robust import CAUCHY, biweight, cauchy, prior_sigma, robust_sigma
-from annulus_pipe.rings.calibration.kernels import REACH_PX, errors, gather, gather_sectors, of_head
+from annulus_pipe.rings.calibration.kernels import (
+    REACH_PX,
+    Guess,
+    Lines,
+    Residuals,
+    errors,
+    gather,
+    gather_sectors,
+    of_head,
+)
 from annulus_pipe.rings.calibration.observations import Observations, Placement, azimuths
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -128,21 +137,11 @@ class Bundle:
         if len(cameras):
             self.head = self.seen.in_head(_placements(cameras))
         seen = self.head
+        width = seen.width if middles else seen.width[:0]
         errors(
-            seen.frame,
-            seen.ring,
-            seen.rays,
-            seen.origins,
-            seen.width if middles else seen.width[:0],
-            cones,
-            poses,
-            turns,
-            self.radius,
-            self.corrections,
-            self.place,
-            self.middle,
-            self.error,
-            self.rows,
+            Lines(seen.frame, seen.ring, seen.rays, seen.origins, width),
+            Guess(cones, poses, turns, self.radius, self.corrections),
+            Residuals(self.place, self.middle, self.error, self.rows),
         )
         self.shift = shift
         if self.cameras > 1 or len(shift):

@@ -5,9 +5,11 @@ ring on the wall; nothing is linearised about the place where the slit was seen.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from annulus_pipe.numeric.arrays import FloatArray, IntArray
 from annulus_pipe.numeric.jit import jit
 from annulus_pipe.rings.calibration.observations import RAY_STEP_PX
 
@@ -15,13 +17,42 @@ PROBE_PX = 4.0  # topic calibrate_scene: step of the finite differences for a sl
 REACH_PX = 60.0  # a ring farther from a slit than this pulls no harder; topic autocalibration, cold starts
 
 
+class Lines(NamedTuple):
+    """N observations, each on its line, as `errors` takes them."""
+
+    frame: IntArray  # (N,)
+    ring: IntArray  # (N,)
+    rays: FloatArray  # (N, 3, 3) of the slit and RAY_STEP_PX to either side of it, as `Observations` has them
+    origins: FloatArray  # (N, 3, 3) mm, likewise
+    width: FloatArray  # (N,) px of each slit, or (0,) where its middle is not to be found again
+
+
+class Guess(NamedTuple):
+    """What is tried: the unknowns, and what is held."""
+
+    cones: FloatArray  # (K, 6) half-angle, axis x y, vertex x y z
+    poses: FloatArray  # (F, 4) rx, ry, tx, ty
+    turns: FloatArray  # (F, 4) cosine and sine of rx, of ry
+    radius: float  # mm
+    correction: FloatArray  # (K, 2, n) offset and shift by sector
+
+
+class Residuals(NamedTuple):
+    """What is written."""
+
+    places: FloatArray  # (N,) px, where the ring's image crosses the line; kept from call to call
+    middles: FloatArray  # (N,) px, how far beyond its slit's middle that is; kept likewise
+    error: FloatArray  # (N,) px, seen less expected place along the line, NaN where ray, wall and cone do not meet
+    rows: FloatArray  # (N, 17 ..) how the expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty,
+    # radius, and with the camera: its turn about its centre and its centre, x y z each
+
+
 @jit
-def errors(frame, ring, rays, origins, width, cones, poses, turns, radius, correction, places, middles, error, rows):  # type: ignore[no-untyped-def]
-    """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 17 ..): how
-    the expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, radius, and with the camera: its
-    turn about its centre and its centre, x y z each. `places` and `middles` are kept from call to call: where the
-    ring's image crosses the line, and how far beyond its slit's middle that is; the
-    latter is found again where `width` is given."""
+def errors(lines, guess, residuals):  # type: ignore[no-untyped-def]
+    """`Lines` and `Guess` in, `Residuals` out."""
+    frame, ring, rays, origins, width = lines.frame, lines.ring, lines.rays, lines.origins, lines.width
+    cones, poses, turns, radius, correction = guess.cones, guess.poses, guess.turns, guess.radius, guess.correction
+    places, middles, error, rows = residuals.places, residuals.middles, residuals.error, residuals.rows
     more = np.empty(16)
     for n in range(len(frame)):
         cone, pose, turn, own = cones[ring[n]], poses[frame[n]], turns[frame[n]], correction[ring[n]]

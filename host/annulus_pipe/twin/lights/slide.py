@@ -8,13 +8,12 @@ from annulus_pipe.twin.lights.slits import Slits
 from annulus_pipe.twin.stretch import OPTIONS
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
-from annulus_pipe.wings.fringe.lights import FringeSlide
+from annulus_pipe.wings import merged
 
-Slide = Slits | FringeSlide
-
-# A slide has `axis`, `rims` and `brightest` (see SlideProjector), `coordinate(points)`, along which it draws, a method
-# `table(pose, z_mm)` that gives its numbers for one frame as a `Table`, and the kernel that reads them.
-SLIDES: tuple[type[Slide], ...] = (Slits, FringeSlide)
+# A slide has `axis`, `rims` and `brightest` (see SlideProjector), `coordinate(points)`, along which it draws, and
+# `by_coordinate`, whether one camera needs that too; a method `table(pose, z_mm)` that gives its numbers for one frame
+# as a `Table`, and the kernel that reads them.
+Slide = Any
 
 
 def slides_of(world: World) -> tuple[Slide, ...]:
@@ -22,7 +21,11 @@ def slides_of(world: World) -> tuple[Slide, ...]:
     light = world.projector
     if isinstance(light, Projector):
         return (Slits(light, world.radius_mm, world.translucency),)
-    return tuple(FringeSlide(light, number) for number in range(len(light.slides)))
+    return light.drawn()
+
+
+def _kinds() -> list[Any]:
+    return [Slits, *(light.Slide for light in merged("lights").values() if hasattr(light, "Slide"))]
 
 
 def through(table: Any, part: Any, beam: Any) -> None:
@@ -33,5 +36,5 @@ def through(table: Any, part: Any, beam: Any) -> None:
 @numba.extending.overload(through, jit_options=OPTIONS)
 def _through(table, part, beam):  # type: ignore[no-untyped-def]
     """Called by the compiler, with types: `table.instance_class` is the NamedTuple that it will be."""
-    kernel = next(slide.kernel for slide in SLIDES if slide.Table is table.instance_class)
+    kernel = next(slide.kernel for slide in _kinds() if slide.Table is table.instance_class)
     return lambda table, part, beam: kernel(part, beam, table)

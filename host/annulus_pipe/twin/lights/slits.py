@@ -110,6 +110,7 @@ class Slits:
     """The light of a world's `Projector`. `axis` is that of the mean cone, `rims` end the pattern (rad)."""
 
     Table = SlitTable
+    by_coordinate = False
     kernel = staticmethod(through_slits)
 
     def __init__(self, projector: Projector, radius_mm: float, wall: Translucency | None = None) -> None:

@@ -1,7 +1,7 @@
 """Pipes and the sensor heads inside them, as plain data and a seed: what the twin draws and what a score calls true.
 
 A new kind of fault in a wall goes into `features`, a new head or pipe is a function that returns a `World`, in a file
-of its own, with a line in WORLDS if it shall have a name on the command line.
+of its own, with a line in WORLDS if it shall have a name on the command line. A wing brings its own (`wings.worlds`).
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from annulus_pipe.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world
 from annulus_pipe.twin.worlds.sensor_head import Optics
 from annulus_pipe.twin.worlds.stereo import stereo_world
 from annulus_pipe.twin.worlds.world import World
-from annulus_pipe.wings.fringe.worlds import mirror_fringe_world, modules_world, series_world
+from annulus_pipe.wings import merged
 
 __all__ = [
     "CONTAMINATED",
@@ -28,12 +28,10 @@ __all__ = [
     "clean_world",
     "clock_text",
     "demo_world",
+    "every_world",
     "fisheye_camera",
-    "mirror_fringe_world",
     "mirror_world",
-    "modules_world",
     "painted",
-    "series_world",
     "stereo_world",
     "translucent",
 ]
@@ -46,8 +44,10 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
     "mirror-4inch": lambda seed: mirror_world(seed, 50.8),
     "stereo": stereo_world,
     **FITTINGS,
-    "fringe": series_world,
-    "fringe-modules": modules_world,
-    "fringe-mirror": mirror_fringe_world,
     "stereo-3inch": lambda seed: stereo_world(seed, 38.1),
 }
+
+
+def every_world() -> Mapping[str, Callable[[int], World]]:
+    """By the names of the command line, the wings' too."""
+    return {**WORLDS, **merged("worlds")}

@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
+from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure import FringeProjector
 
 Response = tuple[tuple[float, float, float], ...]
 
@@ -46,39 +46,35 @@ class Projector:
         return self.cones[0].half_angle - math.radians(self.margin_deg[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Fringe:
-    """One slide of a sinusoid, in the head's frame. field_deg : of rings the half-angles where they begin and end, of
-    stripes half the field across them and along. cameras : numbers of those that look at its light, slots : of the lamp
-    cycle at which it is lit; none: all."""
+class Light(Protocol):
+    """A projector that a wing brings (`wings.lights`), in place of a slide of slits: a dataclass, with a class `Slide`
+    of what it draws with. peak : grey levels above black, lit for nominal_us."""
 
-    slide: FringeProjector
-    field_deg: tuple[float, float]
-    cameras: tuple[int, ...] = ()
-    slots: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Fringes:
-    """A projector, or several, of static sinusoids. reach_mm : from the light straight to a wall that gets the peak."""
-
-    slides: tuple[Fringe, ...]
-    reach_mm: float
-    modulation: float = 0.85  # of the light on the wall, where the lens is sharp
-    peak: float = 190.0  # grey levels above black on that wall, lit for its nominal time
-    colour: tuple[float, float, float] = (0.95, 1.0, 0.9)
-    nominal_us: float = 5000.0
-    rings: ClassVar[int] = 0
+    rings: ClassVar[int]
 
     @property
+    def nominal_us(self) -> float: ...
+    @property
+    def peak(self) -> float: ...
+    @property
     def innermost(self) -> float:
-        """Half-angle to the pipe at which light begins, rad; of stripes, which look across it, a right angle's half."""
-        rings = [one.field_deg[0] for one in self.slides if one.slide.kind == "rings"]
-        return math.radians(min(rings, default=45.0))
+        """Half-angle to the pipe at which light begins, rad."""
+
+    @property
+    def in_turn(self) -> bool:
+        """Whether its slides are lit in turn, by the slot of the lamp cycle."""
 
     def lit(self, slot: int | None) -> int:
-        """Number of the slide that is lit at a slot of the lamp cycle."""
-        return next((k for k, one in enumerate(self.slides) if not one.slots or slot in one.slots), 0)
+        """Number of the slide that is lit at a slot."""
+
+    def looking(self, slot: int) -> tuple[int, ...]:
+        """Numbers of the cameras that see its light at a slot; none: all."""
+
+    def drawn(self) -> tuple[Any, ...]:
+        """Its slides, as twin.lights.slide wants them."""
+
+    def calibration(self, world: Any) -> Calibration:
+        """What a perfect calibration of a head with it would hold."""
 
 
 @dataclass(frozen=True, slots=True)

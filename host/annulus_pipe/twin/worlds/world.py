@@ -5,15 +5,15 @@ a short list of `Feature`s, so that what the renderer shows and what the score c
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector, matrix_of, vector_of
+from annulus_pipe.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector
 from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
@@ -22,9 +22,9 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.worlds.course import Course
 from annulus_pipe.twin.worlds.features import Feature
 from annulus_pipe.twin.worlds.paint import WHITE, print_line, stain
-from annulus_pipe.twin.worlds.sensor_head import Fringe, Fringes, Led, Optics, Projector, Rod
+from annulus_pipe.twin.worlds.sensor_head import Led, Light, Optics, Projector, Rod
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure import FringeProjector, Lamp, lamps_to_list, projector_to_dict
+from annulus_pipe.wings import merged
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
@@ -33,12 +33,18 @@ ROLL_WAVE_MM = 150.0  # of the head's roll along the pipe
 WAVES = 0.75, 0.45  # of the wobble: the two sinusoids' shares of its amplitude
 
 
+class Ground(Protocol):
+    """What a pipe lies in. `sensors` of a head that is pulled through it there, as twin.sensors.HeadSensor."""
+
+    def sensors(self, world: "World", cable: Any, clock: Any, start_tick: int, seed: int) -> Sequence[Any]: ...
+
+
 @dataclass(frozen=True)
 class World:
     """A pipe, a sensor head, and how the head travels. Immutable; equal seeds give equal worlds."""
 
     camera: Camera
-    projector: Projector | Fringes
+    projector: Projector | Light
     radius_mm: float = 76.2
     features: tuple[Feature, ...] = ()
     rods: tuple[Rod, ...] = ()
@@ -57,6 +63,7 @@ class World:
     others: tuple[HeadCamera, ...] = ()  # further cameras, on the first one's sync line; all else is in its frame
     centre_mm: tuple[float, float] = (0.0, 0.0)  # of the head: where the pipe's axis passes when it does not wobble
     mounted: tuple[Matrix, Vector] = STILL, (0.0, 0.0, 0.0)  # the first camera in the head's frame, as a HeadCamera is
+    ground: Ground | None = None  # around the pipe, for a head with sensors that look through its wall
     course: Course | None = None  # of a pipe of several pieces: then z is chainage, `radius_mm` what is calibrated with
 
     def __post_init__(self) -> None:
@@ -135,44 +142,12 @@ class World:
     def calibration(self) -> Calibration:
         """What a perfect calibration of this head would hold."""
         head = self.projector
-        if isinstance(head, Fringes):
-            return self._fringe_calibration(head)
+        if not isinstance(head, Projector):
+            return head.calibration(self)
         if head.line is not None:
             line = {"kind": "line"}
             return Calibration(self.camera, "", head.cones, self.radius_mm, others=self.others, pattern=line)
         return Calibration(self.camera, head.colours, head.cones, self.radius_mm, others=self.others)
-
-    def _fringe_calibration(self, light: Fringes) -> Calibration:
-        """Everything in the first camera's frame, as a file has it."""
-        turn, moved = np.array(self.mounted[0]), np.array(self.mounted[1])
-        lamps = []
-        for one in light.slides:
-            centre = turn @ np.array(one.slide.centre_mm) + moved
-            slide = replace(
-                one.slide, centre_mm=vector_of(centre), rotation=matrix_of(np.array(one.slide.rotation) @ turn.T)
-            )
-            lamps.append(Lamp(slide, one.cameras, one.slots))
-        others = []
-        for other in self.others:
-            own = np.array(other.rotation) @ turn.T
-            place = np.array(other.translation_mm) - own @ moved
-            others.append(replace(other, rotation=matrix_of(own), translation_mm=vector_of(place)))
-        several = len(lamps) > 1 or bool(lamps[0].cameras)
-        lights = (
-            {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
-        )
-        beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": self.optics.black}}
-        if self.mounted[0] != STILL:
-            beside["pipe"] = {"rotation": turn.T.tolist(), "translation_mm": (-turn.T @ moved).tolist()}
-        return Calibration(
-            self.camera,
-            "",
-            (),
-            self.radius_mm,
-            others=tuple(others),
-            pattern={"kind": "fringe", **lights},
-            beside=beside,
-        )
 
     def truth(self) -> dict[str, Any]:
         """The world as JSON-able data, defects as a perfect defect list; written beside a scan."""
@@ -195,6 +170,7 @@ class World:
             "defects": [f.as_defect(self.radius_mm) for f in self.features],
             **({} if self.translucency is None else {"translucency": asdict(self.translucency)}),
             **({} if self.course is None else {"course": asdict(self.course), **self.course.truth()}),
+            **({} if self.ground is None else {"ground": self.to_dict()["ground"]}),
             "travel_mm": self.travel_mm,
             "mm_per_count": self.mm_per_count,
             "calibration": self.calibration().to_dict(),
@@ -212,16 +188,18 @@ class World:
             top["projector"] = _light(top["projector"])
             top["camera"] = _camera(top["camera"])
             top["others"] = tuple(
-                _tupled(HeadCamera, {**one, "camera": _camera(one["camera"])}) for one in top.get("others", ())
+                tupled(HeadCamera, {**one, "camera": _camera(one["camera"])}) for one in top.get("others", ())
             )
+            if top.get("ground") is not None:
+                top["ground"] = merged("lights")["ground"].read(top["ground"])
             if top.get("course") is not None:
                 top["course"] = Course.from_dict(top["course"])
             top["features"] = tuple(Feature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
             if top.get("translucency") is not None:
-                top["translucency"] = _tupled(Translucency, top["translucency"])
-            top["led"], top["optics"] = _tupled(Led, top["led"]), _tupled(Optics, top["optics"])
-            return _tupled(cls, top)
+                top["translucency"] = tupled(Translucency, top["translucency"])
+            top["led"], top["optics"] = tupled(Led, top["led"]), tupled(Optics, top["optics"])
+            return tupled(cls, top)
         except (KeyError, TypeError, ValueError) as error:
             raise AnnulusError(f"world: not a world's data ({error})") from None
 
@@ -245,22 +223,23 @@ def _scaled(camera: Camera, k: float) -> Camera:
     )
 
 
-def _light(data: Mapping[str, Any]) -> Projector | Fringes:
-    if "slides" not in data:
-        return _tupled(Projector, {**data, "cones": tuple(_tupled(Cone, cone) for cone in data["cones"])})
-    slides = tuple(_tupled(Fringe, {**one, "slide": _tupled(FringeProjector, one["slide"])}) for one in data["slides"])
-    return _tupled(Fringes, {**data, "slides": slides})
+def _light(data: Mapping[str, Any]) -> Projector | Light:
+    for name, kind in merged("lights").items():
+        if name in data:
+            light: Light = kind.read(data)
+            return light
+    return tupled(Projector, {**data, "cones": tuple(tupled(Cone, cone) for cone in data["cones"])})
 
 
 def _camera(data: Mapping[str, Any]) -> Camera:
     mirror = data.get("mirror")
-    return _tupled(Camera, {**data, "mirror": None if mirror is None else _tupled(Mirror, mirror)})
+    return tupled(Camera, {**data, "mirror": None if mirror is None else tupled(Mirror, mirror)})
 
 
 Record = TypeVar("Record")
 
 
-def _tupled(kind: type[Record], data: Mapping[str, Any]) -> Record:
+def tupled(kind: type[Record], data: Mapping[str, Any]) -> Record:
     """A dataclass from JSON-able data: lists become tuples, however deep."""
     return kind(**{key: _frozen(value) for key, value in data.items()})
 

@@ -9,7 +9,7 @@ off the axis and rolls. Drawn apart from the detector, and simpler than a field:
 import gzip
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
+from annulus_pipe.controller import TICK_S
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.sensors.sample import Sample
+from annulus_pipe.twin.cable import Cable
+from annulus_pipe.twin.image_sensor import HostClock
+from annulus_pipe.twin.sensors import LATE_NS, Steady
+from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.measure.grid import Log
 
@@ -63,6 +69,23 @@ class Ground:
     wander_mm: float = 0.15  # of the head off the axis
     pose: bool = False
     loss: bool = False
+
+    @classmethod
+    def along(cls, length_mm: float, seed: int) -> "Ground":
+        """Of a pipe of that length, with as many sewers as there is room for."""
+        return some_ground(length_mm, seed, bores=int((length_mm / 1000 / ROOM_M - 5) / 2), near=0)
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> "Ground":
+        """Of `dataclasses.asdict`."""
+        columns: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in data.items()}
+        columns["bores"] = tuple(Bore(**one) for one in columns["bores"])
+        columns["voids"] = tuple(tuple(one) for one in columns["voids"])
+        return cls(**columns)
+
+    def sensors(self, world: World, cable: Cable, clock: HostClock, start_tick: int, seed: int) -> Sequence[Any]:
+        """The sectors of a head in a pipe that lies in it."""
+        return (Capacitance(self, world, cable, clock, start_tick, seed),)
 
     def eps_at(self, place_mm: float) -> float:
         """The soil's permittivity, its unevenness left out."""
@@ -122,6 +145,40 @@ def _half_length(bore: Bore) -> float:
     here = _inside(replace(bore, at_mm=0.0), z, PIPE_MM * np.cos(theta), PIPE_MM * np.sin(theta))
     inside = np.flatnonzero(here.any(axis=1))
     return 0.5 * float(np.ptp(z[inside])) if len(inside) else 1.0
+
+
+class Capacitance(Steady):
+    """Three capacitive sectors and a reference, through the wall of a pipe in the ground: see `ground`.
+
+    The ground lies along the world's pipe; the head's place, roll and offset are the world's, and so is its speed.
+    """
+
+    name = "capacitance"
+    RATE_HZ = 40.0
+    NOISE_FF, LOSS_FF = 0.6, 1.5  # rms
+
+    def __init__(
+        self, ground: Ground, world: World, cable: Cable, clock: HostClock, start_tick: int = 0, seed: int = 0
+    ) -> None:
+        self._buried = Buried(ground, seed)
+        self._world, self._cable, self._clock, self._seed = world, cable, clock, seed
+        self._start, self._taken = start_tick, 0
+
+    def _at(self, tick: int, index: int) -> Sample:
+        rng = np.random.default_rng([self._seed, 7, index])
+        values: dict[str, float] = {}
+        for k in range(3):  # one after the other
+            z_mm = self._cable.z_mm(tick + round(MUX_S * k / TICK_S))
+            pose = self._world.pose(z_mm)
+            off = pose.to_pipe(np.zeros((1, 3)))[0, :2]
+            roll = 0.0 if pose.roll is None else math.degrees(pose.roll)
+            c, loss = self._buried.sees(z_mm, roll + 120.0 * k, (float(off[0]), float(off[1])))
+            values[f"c{k + 1}_pf"] = (c + self.NOISE_FF * rng.standard_normal()) / 1000
+            values[f"loss{k + 1}_ff"] = loss + self.LOSS_FF * rng.standard_normal()
+        values["cref_pf"] = 4.697 + 3e-4 * rng.standard_normal()
+        units = {name: "pF" if name.endswith("_pf") else "fF" for name in values}
+        host_ns = self._clock.ns(tick) + int(rng.integers(LATE_NS))
+        return Sample(self.name, host_ns, {name: float(value) for name, value in values.items()}, units)
 
 
 def some_ground(
@@ -209,13 +266,6 @@ class Buried:
         bead = sum(60.0 * math.exp(-0.5 * ((z_mm - at) / 3.0) ** 2) for at in self._beads)
         c = AIR_FF + float(sees @ self._level[i]) + LIFT_FF * math.expm1(towards / LIFT_MM) + bead
         return c, float(sees @ self._loss[i])
-
-
-def ground_of(data: Mapping[str, Any]) -> Ground:
-    """Of `dataclasses.asdict`."""
-    fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}
-    fields["bores"] = tuple(Bore(**one) for one in fields["bores"])
-    return Ground(**fields)
 
 
 def _round_the_pipe(

@@ -56,6 +56,9 @@ class Bores(Observer):
     def profile(self, profile: Profile) -> None:
         take_pose(self._passage, profile, self._sectors.ahead_mm)
 
+    def ending(self) -> None:
+        self.look(final=True)
+
     def look(self, final: bool = False) -> list[Indication]:
         """What was not told before. final : the scan is over, so is what the head was not yet past."""
         if not self._reads or (not final and abs(self._here_mm - self._looked_mm) < STEP_MM):

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from matplotlib.figure import Figure
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.lane import Lane
+from annulus_pipe.wings import Sheet
+from annulus_pipe.wings.crossbore.lane import Lane
 
 ROW_M = 10.0
 ROWS_MAX = 60  # a longer log has longer rows
@@ -45,8 +47,21 @@ def write_bores(
     return [path, picture]
 
 
+NOTE = (
+    "What each sector reads through the wall: it falls beside air. A cross bore is a sewer that the pipe was drilled "
+    "through; it is listed among the features. Probability: how often a place called so was that in simulated pipes of "
+    "two drawers; of a street it says no more."
+)
+
+
+def sheet_of(lane: Lane) -> Sheet:
+    """The same of a survey; its places are the map's."""
+    shows = "Capacitance of each sector over distance, with what was found"
+    summary = {"sectors": {"told": lane.remark, "places": [asdict(mark) for mark in lane.marks]}}
+    return Sheet("Behind the wall: capacitive sectors", draw_lane(lane), shows, f"{NOTE} {lane.remark}", summary)
+
+
 def draw_lane(lane: Lane) -> bytes:
-    """The same of a survey, as PNG; its places are the map's."""
     marks = [
         {"odometer_mm": one.z_mm, "extent_mm": one.length_mm, "kind": one.kind, "probability": one.probability}
         | ({"phi_deg": one.phi_deg} if math.isfinite(one.phi_deg) else {})

@@ -20,9 +20,9 @@ from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.vocabulary import AnnulusError, Finding
 from annulus_pipe.wall.features import Feature, FeatureKind, Measure
-from annulus_pipe.wall.lane import Lane, LaneMark
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wings.crossbore.lane import Lane, LaneMark
 from annulus_pipe.wings.crossbore.measure import (
     BORES,
     Account,
@@ -36,12 +36,13 @@ from annulus_pipe.wings.crossbore.measure import (
     on_grid,
 )
 
+WING = "crossbore"
 ODOMETER, ROLL, SECTORS_OF = "z_mm", "roll_deg", "sectors"
 TOPIC = "/sensor/"
 FIRST = 10  # records of a topic that are looked at
 
 
-def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Survey:
+def with_bores(survey: Survey, scan: Scan, profiles: Sequence[Profile]) -> Survey:
     """The same survey with its lane and its cross bores among the features; itself where no sectors were recorded."""
     recording = scan.recording
     if recording is None or not any(_of_sectors(recording, topic) for topic in recording.topics):
@@ -76,8 +77,9 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
         features += [_feature(one, grid, run.rolled_at(one.odometer_mm)) for one in account.bores]
         more = _lane(account, grid, run)
         lane = more if lane is None else lane.joined(more)
+    beside = {} if lane is None else {WING: lane}
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
-    return replace(survey, features=tuple(features), lane=lane, disbelieved=tuple(findings))
+    return replace(survey, features=tuple(features), disbelieved=tuple(findings), beside={**survey.beside, **beside})
 
 
 def _of_sectors(recording: Recording, topic: str) -> bool:

@@ -4,8 +4,8 @@ What frames must show of the slide is not looked at here; `check_order` is for t
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +14,8 @@ import numpy as np
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.scans.scan import Scan, open_scan
-from annulus_pipe.storage.calibration_file import load_part
+from annulus_pipe.storage.calibration_file import load_part, load_sections
+from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wings.fringe.measure import FringeHead, FringeProjector, Points, Transfer, View, told_elsewhere
 
@@ -27,6 +28,24 @@ DRIFT = 0.1  # share by which a point's light may change along half a track: the
 FLASH_MM = 0.05  # cameras of one flash stand no farther apart
 SHIFT_MIN = 0.1  # least singular value of DC and wave over the frames, of 1: less and they cannot be told apart
 SHIFT_LEAST_RAD = 0.5  # over the scan: three frames less apart than that are one
+
+
+def fringes_on(scan: Where, calibration: Where | None) -> Literal["plate", "pipe"] | None:
+    """Which wall a scan shows under fringes, by its calibration or the one a recording carries; None under other light.
+    Such a scan goes to `plate` or `pipe`, for a height follows from many frames together.
+
+    Raises AnnulusError where a file cannot be read."""
+    if calibration is None:
+        known = open_scan(scan).calibration
+        return "pipe" if known is not None and known.kind == "fringe" else None
+    sections = load_sections(calibration)
+    pattern = sections.get("pattern")
+    if not isinstance(pattern, dict) or pattern.get("kind", "slits") != "fringe":
+        return None
+    slide = pattern.get("projector")
+    rings = isinstance(slide, dict) and slide.get("kind") == "rings"
+    in_pipe = rings or "projectors" in pattern or ("pipe" in sections and "distance_mm" not in sections)
+    return "pipe" if in_pipe else "plate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +61,10 @@ class FringeJob:
     flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
     findings: tuple[Finding, ...]
     by: By = "slide"
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see wings.Job
 
 
-def open_fringe(scan: Path, calibration: Path, by: By = "slide") -> FringeJob:
+def open_fringe(scan: Where, calibration: Where, by: By = "slide") -> FringeJob:
     """by : "cameras" takes the slide for no more than a mark on the wall: its period, axis and place as it was designed
     will do, its phase is not used. AnnulusError, one line, for what is missing, damaged or does not belong together."""
     head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
@@ -68,11 +88,22 @@ def open_fringe(scan: Path, calibration: Path, by: By = "slide") -> FringeJob:
         if lost:
             text = f"camera {one.id} has no frame of {len(lost)} of {len(flashes)} flashes: measured without it there"
             findings.append(Finding("camera-missing", text))
-    curve = head.curve(scan.resolve().name)
-    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings), by)
+    curve = head.curve(name_of(scan))
+    refuses = refused(calibration) | dict.fromkeys(("job", "limits"), f"{scan}: a plate has no report of a pipe")
+    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings), by, refuses)
 
 
-def _check_pair(head: FringeHead, calibration: Path) -> None:
+def refused(named: Where) -> dict[str, str]:
+    """Options that go with no scan under fringes. named : what says that it is one."""
+    return dict.fromkeys(("colour", "reference", "vibration_filter"), f"{named}: its head projects fringes")
+
+
+def name_of(scan: Where) -> str:
+    """By which a calibration knows a scan's transfer curve."""
+    return scan.resolve().name if isinstance(scan, Path) else str(scan).rstrip("/").rpartition("/")[2]
+
+
+def _check_pair(head: FringeHead, calibration: Where) -> None:
     """AnnulusError where heights cannot be found by two cameras."""
     if len(head.cameras) != 2:
         count = f"{len(head.cameras)} camera{'s' if len(head.cameras) > 1 else ''}"

@@ -7,9 +7,8 @@ not grow with its length; a row is told by the window whose middle is nearest.
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,12 @@ from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, Image
+from annulus_pipe.reprocess.executors import Executor, in_process
 from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.reprocess.places import require_near
 from annulus_pipe.scans.scan import Scan, open_scan
 from annulus_pipe.storage.calibration_file import load_part
+from annulus_pipe.storage.place import Place, Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.apart import sound_wall_apart
 from annulus_pipe.wall.centreline import Centreline, Piece
@@ -31,6 +32,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.stations import measure_stations
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import find_unjudged
+from annulus_pipe.wings.fringe.job import name_of, refused
 from annulus_pipe.wings.fringe.measure import (
     Eye,
     FringeHead,
@@ -41,8 +43,10 @@ from annulus_pipe.wings.fringe.measure import (
     light_of,
     measure_pipe,
 )
+from annulus_pipe.wings.fringe.measure.placement import Head
 from annulus_pipe.wings.fringe.measure.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS
+from annulus_pipe.wings.fringe.windows import Arrays, Measuring, Window, window_of, without_frames
 
 Progress = Callable[[str, int, int], None]
 
@@ -69,19 +73,23 @@ class FringePipeJob:
     roll_rad: tuple[float, ...] | None  # None where nobody said
     window: int  # flashes
     findings: tuple[Finding, ...]
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see wings.Job
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPipe:
-    """map : the fine one. survey : the same wall as reports and files take it. findings : what a reader must know."""
+    """map : the fine one. survey : the same wall as reports and files take it. findings : what a reader must know.
+    windows, made : of how many, and how many of those were measured now."""
 
     map: PipeMap
     survey: Survey
     findings: tuple[Finding, ...]
     timing_ms: dict[str, float]
+    windows: int = 1
+    made: int = 1
 
 
-def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
+def open_fringe_pipe(scan: Where, calibration: Where | None) -> FringePipeJob:
     """calibration : None: the recording's own. AnnulusError, one line, for what is missing, damaged or does not belong
     together."""
     opened = roll_filled(open_scan(scan))
@@ -100,7 +108,7 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
     z = tuple(opened.frames[flash[0][1]].z_mm for flash in flashes)
     rolls = [opened.frames[flash[0][1]].roll_deg for flash in flashes]
     rolled = tuple(math.radians(one) for one in rolls if one is not None)
-    curve = head.curve(scan.resolve().name)
+    curve = head.curve(name_of(scan))
     text = "the calibration names no transfer curve for this scan: grey levels are taken as linear in light"
     if curve is None:
         findings.append(Finding("transfer", text))
@@ -116,10 +124,11 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
         rolled if len(rolled) == len(z) else None,
         WINDOW * turns,
         tuple(findings),
+        refuses=refused(source),
     )
 
 
-def _head_of(opened: Scan, scan: Path) -> FringeHead:
+def _head_of(opened: Scan, scan: Where) -> FringeHead:
     if opened.recording is None or opened.recording.calibration is None:
         raise AnnulusError(f"{scan}: carries no calibration of a head that projects fringes. Name one.")
     try:
@@ -128,7 +137,7 @@ def _head_of(opened: Scan, scan: Path) -> FringeHead:
         raise AnnulusError(f"{scan}: the calibration in the recording is damaged: {error}.") from None
 
 
-def _flashes(opened: Scan, scan: Path, head: FringeHead) -> tuple[list[tuple[tuple[int, int], ...]], list[Finding]]:
+def _flashes(opened: Scan, scan: Where, head: FringeHead) -> tuple[list[tuple[tuple[int, int], ...]], list[Finding]]:
     """Of each flash of a slide: eye, and number of its frame in the scan; in order of the flashes."""
     eyes = head.eyes()
     found: dict[int, list[tuple[int, int]]] = {}
@@ -160,7 +169,7 @@ def _flashes(opened: Scan, scan: Path, head: FringeHead) -> tuple[list[tuple[tup
 
 
 def _moved(
-    opened: Scan, scan: Path, flashes: list[tuple[tuple[int, int], ...]], step_mm: float
+    opened: Scan, scan: Where, flashes: list[tuple[tuple[int, int], ...]], step_mm: float
 ) -> list[tuple[tuple[int, int], ...]]:
     """Without flashes of a head that stood still: they say again what the one before said. AnnulusError where it did
     throughout."""
@@ -180,8 +189,44 @@ def _moved(
     return out
 
 
-def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None) -> MeasuredPipe:
-    """The wall. AnnulusError where nothing can be measured."""
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one window says of the wall."""
+
+    map: PipeMap
+
+    def arrays(self) -> Arrays:
+        head = {f"head.{name}": getattr(self.map.head, name) for name in _HEAD}
+        return {name: getattr(self.map, name) for name in _MAP} | head | {"noise": np.array(self.map.noise)}
+
+    @staticmethod
+    def of(job: FringePipeJob, arrays: Arrays) -> "_Part":
+        head: dict[str, Any] = {name: arrays[f"head.{name}"] for name in _HEAD}
+        head |= {name: float(one) for name, one in head.items() if not one.ndim}
+        first, second, third = (float(one) for one in arrays["noise"])
+        own = {name: arrays[name] for name in _MAP}
+        return _Part(PipeMap(**own, head=Head(job.eyes, **head), noise=(first, second, third)))
+
+
+_MAP = tuple(one.name for one in fields(PipeMap) if one.name not in ("head", "noise"))
+_HEAD = tuple(one.name for one in fields(Head) if one.name != "eyes")
+
+
+def measured_window(job: FringePipeJob, window: Window, beside: dict[str, Any]) -> _Part:
+    each = [(k, eye, i) for k, flash in enumerate(window.flashes) for eye, i in flash]
+    images = np.array([_light(job, window.part, eye, i) for _, eye, i in each])
+    shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
+    known = window.known
+    try:
+        return _Part(measure_pipe(job.eyes, shots, known["z_mm"], job.radius_mm, roll_rad=known.get("roll_rad")))
+    except AnnulusError as error:
+        raise AnnulusError(f"{job.scan.path}: {error}") from None
+
+
+def reconstruct_fringe_pipe(
+    job: FringePipeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+) -> MeasuredPipe:
+    """The wall. place : where windows are kept, and found again. AnnulusError where nothing can be measured."""
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     count, size = len(job.flashes), job.window
@@ -190,17 +235,15 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
         size, last = max(count, size), 0
     starts = [*range(0, last, size // 2), last]
     report("fringes", 0, count)
-    parts, z, slipped = [], np.array(job.z_mm), np.zeros(count, bool)
-    for start in starts:
+    work = Measuring(without_frames(job), measured_window, _Part.of, place)
+    parts, z, slipped, made = [], np.array(job.z_mm), np.zeros(count, bool), 0
+    for number, start in enumerate(starts):
         window = slice(start, start + size)
-        each = [(k, eye, i) for k, flash in enumerate(job.flashes[window]) for eye, i in flash]
-        images = np.array([_light(job, eye, i) for _, eye, i in each])
-        shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
-        try:
-            roll = None if job.roll_rad is None else np.array(job.roll_rad[window])
-            part = measure_pipe(job.eyes, shots, z[window], job.radius_mm, roll_rad=roll)
-        except AnnulusError as error:
-            raise AnnulusError(f"{job.scan.path}: {error}") from None
+        known = {"z_mm": z[window]} | ({} if job.roll_rad is None else {"roll_rad": np.array(job.roll_rad[window])})
+        one = window_of(job.scan, number, job.flashes[window], lambda flash: [i for _, i in flash], known)
+        kept, new = work.of(executor, one)
+        part = kept.map
+        made += new
         parts.append(part)
         off = part.head.poses[:, 5] - z[window]
         slipped[window] |= part.slipped
@@ -219,11 +262,11 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
     if (unsure := float((seen.flag == AMBIGUOUS).mean())) > UNTOLD_MAX:
         text = f"{100 * unsure:.1f} % of the map has no radius: the order of the fringe is open there"
         findings.append(Finding("untold", text))
-    return MeasuredPipe(seen, _survey(job, seen), tuple(findings), timing)
+    return MeasuredPipe(seen, _survey(job, seen), tuple(findings), timing, len(starts), made)
 
 
-def _light(job: FringePipeJob, eye: int, i: int) -> Float32Array:
-    return light_of(job.scan.read(i), job.eyes[eye].camera, job.curve, job.scan.frames[i].where)
+def _light(job: FringePipeJob, part: Scan, eye: int, i: int) -> Float32Array:
+    return light_of(part.read(i), job.eyes[eye].camera, job.curve, part.frames[i].where)
 
 
 def _joined(parts: Sequence[PipeMap], starts: Sequence[int]) -> PipeMap:

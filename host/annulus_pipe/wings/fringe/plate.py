@@ -13,7 +13,8 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes
@@ -21,6 +22,8 @@ from scipy.ndimage import binary_closing, binary_fill_holes
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import robust_sigma
+from annulus_pipe.reprocess.executors import Executor, in_process
+from annulus_pipe.storage.place import Place
 from annulus_pipe.vocabulary import AnnulusError, Finding, first_few
 from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order
@@ -41,6 +44,7 @@ from annulus_pipe.wings.fringe.measure import (
     untextured,
 )
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
+from annulus_pipe.wings.fringe.windows import Arrays, Measuring, Window, window_of, without_frames
 
 Progress = Callable[[str, int, int], None]
 
@@ -77,7 +81,7 @@ def _curve(job: FringeJob) -> FringeJob:
     view = View.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
     misfits = []
     for curve in dict.fromkeys([*named, *usual]):
-        images, _ = _Frames(replace(job, curve=curve), lambda done: None).of(one, 0)
+        images, _ = _Frames(replace(job, curve=curve), _first(job), {}).of(one)
         misfits.append((_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)), curve))
     misfit, best = min(misfits, key=lambda one: one[0])
     text = (
@@ -88,55 +92,74 @@ def _curve(job: FringeJob) -> FringeJob:
     return replace(job, curve=best, findings=(*job.findings, Finding("transfer", text)))
 
 
-def reconstruct_fringe(job: FringeJob, progress: Progress | None = None) -> Plate:
-    """The heights of the plate. AnnulusError where nothing can be measured."""
+def reconstruct_fringe(
+    job: FringeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+) -> Plate:
+    """The heights of the plate. place : where windows are kept, and found again. AnnulusError where nothing can be
+    measured."""
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
+    count = len(job.flashes)
     if job.curve is None:
         job = _curve(job)
-    last = max(len(job.flashes) - WINDOW, 0)
+    last = max(count - WINDOW, 0)
     starts = [*range(0, last, WINDOW // 2), last]
-    frames = _Frames(job, lambda done: report("fringes", done, len(job.flashes)))
-    report("fringes", 0, len(job.flashes))
+    report("fringes", 0, count)
     if job.by == "cameras":
-        job = _phased(job, frames)
+        job = _phased(job)
+    work = Measuring(without_frames(job), measured_window, _Part.of, place)
     parts: list[_Part] = []
+    made = 0
     for k, start in enumerate(starts):
         low = -math.inf if k == 0 else (starts[k] + starts[k - 1] + WINDOW - 1) / 2
         high = math.inf if k + 1 == len(starts) else (starts[k + 1] + starts[k] + WINDOW - 1) / 2
-        parts.append(_window(job, frames, start, (low, high), parts[-1] if parts else None))
-    return _joined(job, frames, parts, started)
+        known: dict[str, Any] = {"start": start, "share": (low, high)}
+        if parts:
+            before = parts[-1]
+            known["before_mm"] = before.place_mm[start - before.start :]
+        window = window_of(job.scan, k, job.flashes[start : start + WINDOW], lambda flash: [*flash[1].values()], known)
+        part, new = work.of(executor, window)
+        parts.append(part)
+        made += new
+        report("fringes", min(start + WINDOW, count), count)
+    return replace(_joined(job, parts, started), windows=len(starts), made=made)
 
 
 class _Frames:
-    """Splines of the frames of one window, read once each, dropped when the window has gone on."""
+    """Splines of the frames of one window, read once each, dropped when the window has gone on. held : (spline,
+    saturated pixels) by index and camera, which the next window of this process takes over."""
 
-    def __init__(self, job: FringeJob, report: Callable[[int], None]) -> None:
-        self._job, self._report = job, report
-        self._held: dict[int, Float32Array] = {}
-        self.saturated = self.pixels = 0
+    def __init__(self, job: FringeJob, window: Window, held: dict[Any, Any]) -> None:
+        self._job, self._window, self._held = job, window, held
+        frames = window.part.frames
+        wanted = {(frames[i].index, camera) for _, seen in window.flashes for camera, i in seen.items()}
+        for gone in [key for key in held if key not in wanted]:
+            del held[gone]
 
-    def of(self, one: HeadCamera, start: int) -> tuple[Float32Array, IntArray]:
+    def of(self, one: HeadCamera) -> tuple[Float32Array, IntArray]:
         """(N, H, W) of a camera, and which flashes of the window they are. AnnulusError for another size."""
-        window = self._job.flashes[start : start + WINDOW]
-        wanted = {i for _, frames in window for i in frames.values()}
-        self._held = {i: image for i, image in self._held.items() if i in wanted}
-        which = [k for k, (_, frames) in enumerate(window) if one.id in frames]
-        for k in which:
-            i = window[k][1][one.id]
-            if i not in self._held:
-                self._held[i] = self._read(i, one)
-                self._report(start + k + 1)
-        images = [self._held[window[k][1][one.id]] for k in which]
+        which = [k for k, (_, frames) in enumerate(self._window.flashes) if one.id in frames]
+        images = [self._spline(self._window.flashes[k][1][one.id], one) for k in which]
         return np.array(images, np.float32), np.array(which, dtype=np.int64)
 
-    def _read(self, i: int, one: HeadCamera) -> Float32Array:
-        picture, where = self._job.scan.read(i), self._job.scan.frames[i].where
-        light = light_of(picture, one, self._job.curve or Transfer(), where)
-        self.saturated += int(np.isnan(light).sum())
-        self.pixels += light.size
-        out: Float32Array = spline(light[None])[0]
+    def saturated(self) -> IntArray:
+        """(M, 4): index and camera of each frame, its saturated pixels and all of them."""
+        rows = [(*key, lost, image.size) for key, (image, lost) in sorted(self._held.items())]
+        return np.array(rows, np.int64).reshape(-1, 4)
+
+    def _spline(self, i: int, one: HeadCamera) -> Float32Array:
+        part = self._window.part
+        key = part.frames[i].index, one.id
+        if key not in self._held:
+            light = light_of(part.read(i), one, self._job.curve or Transfer(), part.frames[i].where)
+            self._held[key] = spline(light[None])[0], int(np.isnan(light).sum())
+        out: Float32Array = self._held[key][0]
         return out
+
+
+def _first(job: FringeJob) -> Window:
+    """The first window, for what is decided once for a scan."""
+    return window_of(job.scan, 0, job.flashes[:WINDOW], lambda flash: [*flash[1].values()], {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +175,36 @@ class _Part:
     found: Heights | None  # None where the slide lit nothing
     scale: float = 1.0  # of the motion over x_mm, where the frames contradict x_mm beyond chance
     apart: float = 1.0  # how many times their sigma two cameras differ
+    saturated: IntArray = field(default_factory=lambda: np.empty((0, 4), np.int64))  # see _Frames.saturated
+
+    def arrays(self) -> Arrays:
+        own = {name: getattr(self, name) for name in _PART}
+        return own if self.found is None else own | {f"found.{name}": getattr(self.found, name) for name in _HEIGHTS}
+
+    @staticmethod
+    def of(job: FringeJob, arrays: Arrays) -> "_Part":
+        own = {name: arrays[name] if arrays[name].ndim else arrays[name].item() for name in _PART}
+        lit = "found.flag" in arrays
+        found = Heights(**{name: arrays[f"found.{name}"] for name in _HEIGHTS}) if lit else None
+        return _Part(**own, found=found)
 
 
-def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None) -> _Part:
-    window = job.flashes[start : start + WINDOW]
+_PART = tuple(one.name for one in fields(_Part) if one.name != "found")
+_HEIGHTS = tuple(one.name for one in fields(Heights))
+
+
+def measured_window(job: FringeJob, window: Window, beside: dict[str, Any]) -> _Part:
+    frames = _Frames(job, window, beside)
+    known = window.known
+    part = _window(replace(job, flashes=window.flashes), frames, known["start"], known["share"], known.get("before_mm"))
+    return replace(part, saturated=frames.saturated())
+
+
+def _window(
+    job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before_mm: FloatArray | None
+) -> _Part:
+    """job : of the window's flashes. before_mm : where the window before it has the frames that both have."""
+    window = job.flashes
     odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), cell_mm(job)
     cameras = [one for one in job.head.cameras if sum(one.id in seen for _, seen in window) >= 3]
     if not cameras:
@@ -164,7 +213,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     places, weights = np.zeros(len(window)), np.zeros(len(window))
     slipped, taken, misfits, scale = np.zeros(len(window), bool), [], [], 1.0
     for one, box in zip(cameras, boxes, strict=True):
-        images, which = frames.of(one, start)
+        images, which = frames.of(one)
         coarse = Points.plate(np.arange(*box[0], COARSE * cell), np.arange(*box[1], COARSE * cell), job.distance_mm)
         view = View.of(one, job.projector, odometer[which, None] * ahead)
         misfits.append(_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)))
@@ -196,9 +245,8 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     if start == 0 and job.by == "slide":
         check_order(job, [(one, images, odometer[which]) for one, images, which, _ in taken], boxes)
     place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
-    if before is not None:
-        shared = before.start + len(before.place_mm) - start
-        place += float(np.mean(before.place_mm[len(before.place_mm) - shared :] - place[:shared]))
+    if before_mm is not None:
+        place += float(np.mean(before_mm - place[: len(before_mm)]))
     measured, lit, noises = [], np.zeros((0, 3)), []
     for one, images, which, coarse in taken:
         view = View.of(one, job.projector, place[which, None] * ahead)
@@ -247,15 +295,16 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     return _Part(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
 
 
-def _phased(job: FringeJob, frames: _Frames) -> FringeJob:
+def _phased(job: FringeJob) -> FringeJob:
     """The same, the slide's phase and period as the first window's cameras see them."""
+    frames = _Frames(job, _first(job), {})
     window = job.flashes[:WINDOW]
     odometer = np.array([x for x, _ in window])
     boxes = [_box(job, one, odometer) for one in job.head.cameras]
     low, high = np.max(boxes, axis=0)[:, 0], np.min(boxes, axis=0)[:, 1]
     step = COARSE * cell_mm(job)
     points = Points.plate(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step), job.distance_mm)
-    pair, moved, images = _pair(job, [(one, *frames.of(one, 0)) for one in job.head.cameras], odometer)
+    pair, moved, images = _pair(job, [(one, *frames.of(one)) for one in job.head.cameras], odometer)
     try:
         return replace(job, projector=slide_seen(pair, job.projector, moved, images, points, _bounds(job)))
     except AnnulusError as error:
@@ -341,7 +390,7 @@ def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> Box:
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: float) -> Plate:
+def _joined(job: FringeJob, parts: Sequence[_Part], started: float) -> Plate:
     some = [part for part in parts if part.found is not None]
     if not some:
         raise AnnulusError(f"{job.scan.path}: shows no fringes of this slide on the plate, nothing to measure")
@@ -386,14 +435,19 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
         places,
         sigma,
         np.array([x for x, _ in job.flashes]),
-        (*job.findings, *_findings(job, frames, slipped, untold, lit, some)),
+        (*job.findings, *_findings(job, parts, slipped, untold, lit, some)),
         {"scan_to_heights": 1e3 * (time.perf_counter() - started)},
         job.by,
     )
 
 
 def _findings(
-    job: FringeJob, frames: _Frames, slipped: BoolArray, untold: dict[str, int], lit: BoolArray, parts: Sequence[_Part]
+    job: FringeJob,
+    parts: Sequence[_Part],
+    slipped: BoolArray,
+    untold: dict[str, int],
+    lit: BoolArray,
+    some: Sequence[_Part],
 ) -> list[Finding]:
     out = []
     if slipped.any():
@@ -410,19 +464,21 @@ def _findings(
                 indices,
             )
         )
-    scales = [part.scale for part in parts if part.scale != 1.0]
+    scales = [part.scale for part in some if part.scale != 1.0]
     if scales:
         far = f"{np.median(scales):.2f}"
         text = f"x_mm is wrong as a whole: by the frames the head went about {far} times as far, taken so"
         out.append(Finding("stretched", text))
-    if (apart := max(part.apart for part in parts)) > APART:
+    if (apart := max(part.apart for part in some)) > APART:
         text = (
             f"the cameras' heights differ by {apart:.1f} times their sigma, which is widened by that: is this the "
             "slide and are these the cameras of the calibration?"
         )
         out.append(Finding("cameras-apart", text))
-    if frames.saturated > SATURATED_MAX * frames.pixels:
-        share = 100 * frames.saturated / frames.pixels
+    frames = {(index, camera): (lost, size) for part in parts for index, camera, lost, size in part.saturated.tolist()}
+    saturated, pixels = (sum(one[k] for one in frames.values()) for k in (0, 1))
+    if saturated > SATURATED_MAX * pixels:
+        share = 100 * saturated / pixels
         out.append(Finding("saturated", f"{share:.1f} % of all pixels are saturated and say nothing: expose less"))
     if sum(untold.values()) > UNTOLD_MAX * lit.sum():
         reasons = ", ".join(f"{n} {reason}" for reason, n in untold.items())

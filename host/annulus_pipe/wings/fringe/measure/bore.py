@@ -12,9 +12,11 @@ does to the phase (see `texture`), in each frame by its own blur.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.jit import jit
 from annulus_pipe.wings.fringe.measure.projector import phase_and_slope, wave
 from annulus_pipe.wings.fringe.measure.track import (
@@ -106,13 +108,45 @@ def place(pose, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
+class HeadFrames(NamedTuple):
+    """N frames of a head of several eyes, as the loops here and in `groove` take them."""
+
+    images: Float32Array  # (N, H, W) coefficients of splines
+    lens: FloatArray  # (N, 10) as `see` takes it
+    cameras: FloatArray  # (N, 3, 4) world to camera
+    heads: FloatArray  # (N, 3, 4) world to head
+    eyes: FloatArray  # (N, 3) camera centres, world
+    projectors: FloatArray  # (N, 3, 4) world to projector
+    slide: FloatArray  # (N, S) as `wave` takes it
+    drift: FloatArray  # (N,) t_n
+    eye: IntArray  # (N,) whose frame each is
+
+
+class Light(NamedTuple):
+    """What is known of a head's light and lens."""
+
+    shading: FloatArray  # (E, 3, TERMS) by eye
+    blur_squared: float  # px^2; 0: none is reckoned with
+    drift_sigma: float  # what is believed of g, 0: none
+    noise: FloatArray  # (3,) variance of a grey level I is noise . (1, I, I^2)
+
+
+class WallPoints(NamedTuple):
+    """P points of the wall."""
+
+    base: FloatArray  # (P, 3)
+    path: FloatArray  # (P, 3) outwards
+    texture: FloatArray  # (P,) slope of the albedo along the pipe over itself, 1 / mm
+    start: FloatArray  # (P,) height that is begun with
+
+
 @jit
-def look_around(  # type: ignore[no-untyped-def]
-    images, lens, cameras, heads, eyes, projectors, slide, points, normal, grey, phase, slope, pull, seen
-):
-    """(P, 3) points of a wall that stands across normal (P, 3), in every frame: grey level, phase, its slope along the
-    frame's ray per mm of height, and q, each written (N, P), and where the points stand in the head's frame, (N, P, 3);
-    NaN where not seen."""
+def look_around(frames, points, normal, grey, phase, slope, pull, seen):  # type: ignore[no-untyped-def]
+    """(P, 3) points of a wall that stands across normal (P, 3), in every frame of `HeadFrames`: grey level, phase, its
+    slope along the frame's ray per mm of height, and q, each written (N, P), and where the points stand in the head's
+    frame, (N, P, 3); NaN where not seen."""
+    images, lens, cameras, heads = frames.images, frames.lens, frames.cameras, frames.heads
+    eyes, projectors, slide = frames.eyes, frames.projectors, frames.slide
     for k in range(len(cameras)):
         for p in range(len(points)):
             x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -146,53 +180,32 @@ def look_around(  # type: ignore[no-untyped-def]
 
 
 @jit
-def follow_wall(  # type: ignore[no-untyped-def]
-    images,
-    lens,
-    cameras,
-    heads,
-    eyes,
-    projectors,
-    slide,
-    eye,
-    shading,
-    blur_squared,
-    drift,
-    drift_sigma,
-    noise,
-    base,
-    path,
-    texture,
-    start,
-    tolerance,
-    height,
-    sigma,
-    dc,
-    ac,
-    misfit,
-    used,
-    flag,
-    who,
-):
-    """Every wall point's height outwards, from its `start`; as `track.follow`, in a pipe's light (module docstring).
+def follow_wall(frames, light, points, tolerance, outcome, who):  # type: ignore[no-untyped-def]
+    """Every wall point's height outwards, in a pipe's light (module docstring): `HeadFrames`, `Light` and `WallPoints`
+    in, `track.Outcome` out.
 
-    eye : (N,) whose frame each is; lens, slide (N, ..) by frame, shading (E, 3, TERMS) by eye. texture : (P,) slope of
-    the albedo along the pipe over itself, 1 / mm. blur_squared : px^2. The rest, and what is written: as there.
-
-    who : (P,) written: the eye whose frames told it, the number of eyes where several did, -1 where none.
+    tolerance : of the height, where rounds end. who : (P,) written: the eye whose frames told it, the number of eyes
+    where several did, -1 where none.
 
     A height is begun by one eye alone, for two on either side of a lamp see its light move in opposite ways.
     """
-    frames, eye_count = len(cameras), len(shading)
+    images, lens, cameras, heads = frames.images, frames.lens, frames.cameras, frames.heads
+    eyes, projectors, slide = frames.eyes, frames.projectors, frames.slide
+    drift, eye = frames.drift, frames.eye
+    shading, blur_squared, drift_sigma, noise = light.shading, light.blur_squared, light.drift_sigma, light.noise
+    base, path, texture, start = points.base, points.path, points.texture, points.start
+    height, sigma, dc, ac = outcome.height, outcome.sigma, outcome.dc, outcome.ac
+    misfit, used, flag = outcome.misfit, outcome.used, outcome.flag
+    count, eye_count = len(cameras), len(shading)
     seen, bend_of, low, high = (
         np.empty(eye_count, np.int64),
         np.empty(eye_count),
         np.empty(eye_count),
         np.empty(eye_count),
     )
-    value, phase, slope, weight = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
-    crest, change, sine, gain = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
-    wide = np.zeros(frames)
+    value, phase, slope, weight = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    crest, change, sine, gain = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    wide = np.zeros(count)
     m, b, row, powers = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(TERMS)
     size = 4 if drift_sigma > 0.0 else 3
     for p in range(len(base)):
@@ -202,7 +215,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
             n, bend = 0, 0.0
             seen[:], bend_of[:], low[:], high[:] = 0, 0.0, math.inf, -math.inf
             x, y, z = base[p, 0] + h * path[p, 0], base[p, 1] + h * path[p, 1], base[p, 2] + h * path[p, 2]
-            for k in range(frames):
+            for k in range(count):
                 value[k] = math.nan
                 cx, cy, cz = place(cameras[k], x, y, z)
                 edge = shading[eye[k], 0, 2]
@@ -266,7 +279,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
             m[:] = 0.0
             b[:] = 0.0
             if turn == 0:  # I = V1 + V2 cos phase - V3 sin phase; the sine's harmonics are small beside half a period
-                for k in range(frames):
+                for k in range(count):
                     if eye[k] == first and math.isfinite(value[k]):
                         row[0], row[1], row[2] = gain[k], gain[k] * crest[k], -gain[k] * sine[k]
                         for i in range(3):
@@ -281,7 +294,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
                 continue
             total, cost, robust = 0.0, 0.0, n >= ROBUST_FROM and turn > 1
             free = n - size
-            for k in range(frames):
+            for k in range(count):
                 if not math.isfinite(value[k]):
                     continue
                 over = gain[k] * (1.0 + tilt * drift[k])

@@ -17,6 +17,7 @@ need none of this: there the lens sees both rims alike.
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import find_objects, label
@@ -56,23 +57,31 @@ DEEPER = (1.0, 2.5)  # than the map reads, where fits begin
 RIVAL = 9.0  # of chi^2 between two depths: less decides nothing
 
 
+class Plane(NamedTuple):
+    """The plane of a cut, and K frames' light and sight in it, as `light_of_cut` takes them."""
+
+    slide: FloatArray  # (K, S)
+    projectors: FloatArray  # (K, 3, 4)
+    sight: FloatArray  # (K, 2) mm, z and distance from the axis of the camera, in this plane
+    lamp: FloatArray  # (K, 2) likewise of the light
+    normal: FloatArray  # (3,) its azimuth
+    radius: float  # mm, of the wall
+    z0: float  # mm, of the first row
+    step: float  # mm, from row to row
+
+
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """A cross-section in K frames. normal (3,) its azimuth; radius, z (J,) of its rows on the wall, mm; grey, weight
-    (its noise, to -1), gain, depth, blur (K, J); sight, lamp (K, 2)."""
+    """A cross-section in K frames. z (J,) of its rows on the wall, mm; grey, weight (its noise, to -1), gain, depth,
+    blur (K, J)."""
 
-    normal: FloatArray
-    radius: float
+    plane: Plane
     z: FloatArray
-    slide: FloatArray
-    projectors: FloatArray
     grey: FloatArray
     weight: FloatArray
     gain: FloatArray
     depth: FloatArray
     blur: FloatArray
-    sight: FloatArray
-    lamp: FloatArray
 
     @staticmethod
     def of(
@@ -90,79 +99,40 @@ class _Cut:
         beside = np.array([-normal[1], normal[0], 0.0])
         shape = (len(sight.cameras), len(z))
         grey, gain, depth, blur = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
-        look_at_cut(
-            images,
-            sight.lens,
-            sight.cameras,
-            sight.heads,
-            sight.projectors,
-            sight.slide,
-            sight.eye,
-            head.shading,
-            math.sqrt(head.blur_squared),
-            normal,
-            radius,
-            z,
-            grey,
-            gain,
-            depth,
-            blur,
-        )
+        blur_px = math.sqrt(head.blur_squared)
+        look_at_cut(sight.frames(images), head.shading, blur_px, normal, radius, z, grey, gain, depth, blur)
         flat = np.maximum(np.abs(sight.eyes @ beside), np.abs(lamps @ beside)) < ACROSS_OF_RADIUS * radius
         k = np.flatnonzero(np.isfinite(grey).all(axis=1) & flat)
         if len(k) < FRAMES_LEAST:
             return None
         grey = grey[k]
         level = np.maximum(grey, 0.0)
-        return _Cut(
-            normal,
-            radius,
-            z,
-            sight.slide[k],
-            sight.projectors[k],
-            grey,
-            1.0 / np.sqrt(noise[0] + level * (noise[1] + level * noise[2])),
-            gain[k],
-            depth[k],
-            blur[k],
-            np.stack([sight.eyes[k, 2], sight.eyes[k] @ normal], axis=1),
-            np.stack([lamps[k, 2], lamps[k] @ normal], axis=1),
+        plane = Plane(
+            slide=sight.slide[k],
+            projectors=sight.projectors[k],
+            sight=np.stack([sight.eyes[k, 2], sight.eyes[k] @ normal], axis=1),
+            lamp=np.stack([lamps[k, 2], lamps[k] @ normal], axis=1),
+            normal=normal,
+            radius=radius,
+            z0=float(z[0]),
+            step=float(z[1] - z[0]),
         )
-
-    @property
-    def step(self) -> float:
-        return float(self.z[1] - self.z[0])
+        weight = 1.0 / np.sqrt(noise[0] + level * (noise[1] + level * noise[2]))
+        return _Cut(plane, z, grey, weight, gain[k], depth[k], blur[k])
 
     def light(self, p: FloatArray) -> FloatArray:
         """(K J, J): see `light_of_cut`, weighted."""
         a, b, deep, off, modulation, blur = p
         out = np.empty((*self.grey.shape, len(self.z)))
-        light_of_cut(
-            self.slide,
-            self.projectors,
-            self.sight,
-            self.lamp,
-            self.normal,
-            self.radius,
-            self.z[0],
-            self.step,
-            (a, b),
-            deep,
-            off,
-            modulation,
-            self.depth,
-            self.gain,
-            blur * self.blur,
-            out,
-        )
+        light_of_cut(self.plane, a, b, deep, off, modulation, self.depth, self.gain, blur * self.blur, out)
         return np.asarray((out * self.weight[..., None]).reshape(-1, len(self.z)))
 
     def lit(self, a: float, b: float, deep: float) -> BoolArray:
         """(J,) rows whose floor frames enough see in the light, in a stretch wider than the blur."""
-        low, high = np.full(len(self.sight), a), np.full(len(self.sight), b)
-        for one in (self.sight, self.lamp):  # a rim hides what lies behind it
+        low, high = np.full(len(self.grey), a), np.full(len(self.grey), b)
+        for one in (self.plane.sight, self.plane.lamp):  # a rim hides what lies behind it
             for rim in (a, b):
-                shadow = rim + deep * (rim - one[:, 0]) / (self.radius - one[:, 1])
+                shadow = rim + deep * (rim - one[:, 0]) / (self.plane.radius - one[:, 1])
                 low, high = (np.maximum(low, shadow), high) if rim == a else (low, np.minimum(high, shadow))
         wide = high - low > LIT_BLURS * self.blur.mean(axis=1)
         free = (self.z > low[:, None]) & (self.z < high[:, None]) & wide[:, None]
@@ -170,16 +140,15 @@ class _Cut:
 
 
 @jit
-def light_of_cut(  # type: ignore[no-untyped-def]
-    slide, projectors, sight, lamp, normal, radius, z0, step, edges, deep, off, modulation, depth, gain, blur, out
-):
-    """What K frames show of J rows of a cut, by the rows' albedo: grey = out @ albedo, out (K, J, J) is written.
+def light_of_cut(plane, a, b, deep, off, modulation, depth, gain, blur, out):  # type: ignore[no-untyped-def]
+    """What K frames show of J rows of a cut (`Plane`), by the rows' albedo: grey = out @ albedo, out (K, J, J) is
+    written.
 
-    sight, lamp : (K, 2) mm, z and distance from the axis of camera and light, in the cut's plane. edges : of the
-    groove, mm; deep, off : mm, its depth and what the wall lies off the radius. depth, gain, blur : (K, J) of the
-    modulation, of the light, and sigma of the blur on the wall, mm. Albedo is linear between rows.
+    a, b : edges of the groove, mm; deep, off : mm, its depth and what the wall lies off the radius. depth, gain, blur :
+    (K, J) of the modulation, of the light, and sigma of the blur on the wall, mm. Albedo is linear between rows.
     """
-    a, b = edges
+    slide, projectors, sight, lamp = plane.slide, plane.projectors, plane.sight, plane.lamp
+    normal, radius, z0, step = plane.normal, plane.radius, plane.z0, plane.step
     rows, fine = out.shape[1], step / FINE
     for k in range(len(out)):
         out[k] = 0.0
@@ -235,12 +204,12 @@ def light_of_cut(  # type: ignore[no-untyped-def]
 
 
 @jit
-def look_at_cut(  # type: ignore[no-untyped-def]
-    images, lens, cameras, heads, projectors, slide, eye, shading, blur_px, normal, radius, z, grey, gain, depth, blur
-):
-    """(J,) rows of a wall in every frame: grey level, gain and depth of the head's light, sigma of the blur on the
-    wall, mm, each written (N, J); NaN where not seen. The head's depth is that of the blurred light; this one is
-    of the light before the lens blurs it."""
+def look_at_cut(frames, shading, blur_px, normal, radius, z, grey, gain, depth, blur):  # type: ignore[no-untyped-def]
+    """(J,) rows of a wall in every frame of `HeadFrames`: grey level, gain and depth of the head's light, sigma of the
+    blur on the wall, mm, each written (N, J); NaN where not seen. The head's depth is that of the blurred light; this
+    one is of the light before the lens blurs it."""
+    images, lens, cameras, heads = frames.images, frames.lens, frames.cameras, frames.heads
+    projectors, slide, eye = frames.projectors, frames.slide, frames.eye
     powers = np.empty(TERMS)
     for k in range(len(cameras)):
         for j in range(len(z)):
@@ -399,7 +368,7 @@ def _groove(cut: _Cut, rows: tuple[int, int], wall: float, starts: list[FloatArr
 
 def _fitted(cut: _Cut, start: FloatArray) -> _Fit:
     """From there, by Levenberg and Marquardt; albedo is projected out at every step."""
-    low, high, step, rows = float(cut.z[0]), float(cut.z[-1]), cut.step, len(cut.z)
+    low, high, step, rows = float(cut.z[0]), float(cut.z[-1]), cut.plane.step, len(cut.z)
     smooth = np.diff(np.eye(rows), axis=0) / (ALBEDO * float(np.median(cut.grey / cut.gain)))
     grey = np.concatenate([(cut.grey * cut.weight).ravel(), np.zeros(rows - 1)])
 

@@ -19,7 +19,7 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Int
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
-from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, UNMODULATED, follow, look
+from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, UNMODULATED, Frames, Outcome, Tracks, follow, look
 
 TOLERANCE_RAD = 1e-3  # of the phase, where rounds end: a thousandth of what a grey level's noise makes of it at SNR 1
 PARALLAX = 16.0  # chi^2 by which the best order must beat the next: four sigma
@@ -228,7 +228,7 @@ def _run(
     view: View, images: Float32Array, points: Points, start: FloatArray, fit: _Fit, residuals: bool = False
 ) -> Heights:
     count = len(points.base)
-    values = [np.full(count, np.nan) for _ in range(7)]
+    outcome = Outcome.of(count)
     left = np.empty((len(images), count) if residuals else (0, 0), np.float32)
     tolerance = fit.tolerance_mm
     if tolerance is None:
@@ -237,36 +237,24 @@ def _run(
         tolerance = TOLERANCE_RAD / float(np.median(rate[np.isfinite(rate)]))
     tracked = images.shape[2] > 1
     nothing = np.empty((0, 0, 0), np.float32)
-    follow(
-        np.ascontiguousarray(images, np.float32) if tracked else nothing,
-        np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
-        view.lens,
-        view.cameras,
-        view.eyes,
-        view.projectors,
-        view.slide,
-        view.drift,
-        fit.drift_sigma,
-        np.array(fit.noise),
-        points.base,
-        _rows(points.path),
-        _rows(points.normal),
-        start,
-        tolerance,
-        *values,
-        left,
+    frames = Frames(
+        images=np.ascontiguousarray(images, np.float32) if tracked else nothing,
+        samples=np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
+        lens=view.lens,
+        cameras=view.cameras,
+        eyes=view.eyes,
+        projectors=view.projectors,
+        slide=view.slide,
+        drift=view.drift,
     )
-    return _of(values, left)
+    tracks = Tracks(points.base, _rows(points.path), _rows(points.normal), start)
+    follow(frames, tracks, fit.drift_sigma, np.array(fit.noise), tolerance, outcome, left)
+    return Heights(*outcome, left)
 
 
 def _rows(vectors: FloatArray) -> FloatArray:
     """(P, 3), or (1, 3) where one stands for all."""
     return np.ascontiguousarray(vectors[:1] if vectors.strides[0] == 0 else vectors)
-
-
-def _of(values: list[FloatArray], residual: Float32Array) -> Heights:
-    height, sigma, dc, ac, misfit, used, flag = values
-    return Heights(height, sigma, dc, ac, misfit, used, flag, residual)
 
 
 def _again(view: View, images: Float32Array, points: Points, found: Heights, fit: _Fit) -> Heights:
@@ -332,7 +320,7 @@ def _order(
     chosen[0] = np.where(decided, chosen[0], np.nan)
     chosen[1] = np.where(decided, chosen[1], np.nan)
     chosen[6] = np.where(~decided & (chosen[6] == GOOD), AMBIGUOUS, chosen[6])
-    return _of(chosen, found.residual)
+    return Heights(*Outcome(*chosen), found.residual)
 
 
 def _continue(
@@ -360,4 +348,4 @@ def _spread(some: Heights, which: BoolArray) -> Heights:
     """Of some points, at their places among all; NaN elsewhere."""
     values = np.full((len(NAMES), len(which)), np.nan)
     values[:, which] = [getattr(some, name) for name in NAMES]
-    return _of(list(values), some.residual)
+    return Heights(*Outcome(*values), some.residual)

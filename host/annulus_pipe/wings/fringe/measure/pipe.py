@@ -30,12 +30,12 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Ima
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure import groove
-from annulus_pipe.wings.fringe.measure.bore import follow_wall
+from annulus_pipe.wings.fringe.measure.bore import Light, WallPoints, follow_wall
 from annulus_pipe.wings.fringe.measure.heights import PARALLAX, Heights, Points, spline
 from annulus_pipe.wings.fringe.measure.noise import noise_of
 from annulus_pipe.wings.fringe.measure.placement import LAW, Eye, Freedom, Head, Shots, refined
 from annulus_pipe.wings.fringe.measure.slip import Places, find_places
-from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM
+from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM, Outcome
 
 STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
 WIDER = 0.02  # of that cosine: a pose that leans
@@ -266,38 +266,17 @@ def followed(
     texture: FloatArray | None = None,
 ) -> Heights:
     """`follow_wall` of those points, heights outwards from where the points are."""
-    view, count = head.view, len(points.base)
-    height, sigma, dc, ac, misfit, used, flag = (np.full(count, np.nan) for _ in range(7))
-    who = np.empty(count, np.int64)
-    follow_wall(
-        images,
-        view.lens,
-        view.cameras,
-        view.heads,
-        view.eyes,
-        view.projectors,
-        view.slide,
-        view.eye,
-        head.shading,
-        head.blur_squared if texture is not None else 0.0,
-        view.drift,
-        DRIFT,
-        np.array(noise),
-        points.base,
-        np.ascontiguousarray(points.path),
-        np.zeros(count) if texture is None else np.nan_to_num(texture),
-        start,
-        head.radius_mm * 1e-5,
-        height,
-        sigma,
-        dc,
-        ac,
-        misfit,
-        used,
-        flag,
-        who,
+    count = len(points.base)
+    light = Light(head.shading, head.blur_squared if texture is not None else 0.0, DRIFT, np.array(noise))
+    wall = WallPoints(
+        base=points.base,
+        path=np.ascontiguousarray(points.path),
+        texture=np.zeros(count) if texture is None else np.nan_to_num(texture),
+        start=start,
     )
-    return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32), who)
+    outcome, who = Outcome.of(count), np.empty(count, np.int64)
+    follow_wall(head.view.frames(images), light, wall, head.radius_mm * 1e-5, outcome, who)
+    return Heights(*outcome, np.empty((0, 0), np.float32), who)
 
 
 def _freedom(head: Head, prior: FloatArray, wall: float) -> Freedom:

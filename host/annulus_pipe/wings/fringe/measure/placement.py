@@ -18,7 +18,7 @@ from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, look_around
+from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, look_around
 from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, Heights, Points, View
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
@@ -55,8 +55,7 @@ class Shots:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """N frames of a head of several eyes: what the loops of `bore` take. lens (N, 10), slide (N, S) as `see` and `wave`
-    take them; world to camera, to head and to projector (N, 3, 4); eyes (N, 3) camera centres; drift (N,)."""
+    """N frames of a head of several eyes, each field as in `bore.HeadFrames`."""
 
     lens: FloatArray
     cameras: FloatArray
@@ -66,6 +65,19 @@ class Sight:
     slide: FloatArray
     drift: FloatArray
     eye: IntArray
+
+    def frames(self, images: Float32Array) -> HeadFrames:
+        return HeadFrames(
+            images=images,
+            lens=self.lens,
+            cameras=self.cameras,
+            heads=self.heads,
+            eyes=self.eyes,
+            projectors=self.projectors,
+            slide=self.slide,
+            drift=self.drift,
+            eye=self.eye,
+        )
 
     def phase(self, x: FloatArray, frame: int) -> FloatArray:
         """(P, 3) mm, world -> (P,) rad: the slide's phase there in that frame."""
@@ -198,21 +210,11 @@ class Looks:
 
     @staticmethod
     def of(head: Head, images: Float32Array, x: FloatArray, normal: FloatArray) -> "Looks":
-        view = head.view
-        shape = (len(view.cameras), len(x))
+        frames = head.view.frames(images)
+        shape = (len(head.eye), len(x))
         one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
-        view_arrays = (view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide)
-        look_around(
-            images,
-            *view_arrays,
-            np.ascontiguousarray(x),
-            np.ascontiguousarray(normal),
-            one.grey,
-            one.phase,
-            one.slope,
-            one.pull,
-            one.seen,
-        )
+        x, normal = np.ascontiguousarray(x), np.ascontiguousarray(normal)
+        look_around(frames, x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
         return one
 
 

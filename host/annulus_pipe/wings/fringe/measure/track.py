@@ -13,9 +13,11 @@ end the samples are the point's own.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.numeric.jit import cos_sin, jit
 from annulus_pipe.wings.fringe.measure.projector import phase_and_slope, rings, stripes, wave
 
@@ -208,47 +210,60 @@ def lit_along(slide, projector, x, y, z, way):  # type: ignore[no-untyped-def]
     )
 
 
-@jit
-def follow(  # type: ignore[no-untyped-def]
-    images,
-    samples,
-    lens,
-    cameras,
-    eyes,
-    projectors,
-    slide,
-    drift,
-    drift_sigma,
-    noise,
-    base,
-    path,
-    normal,
-    start,
-    tolerance,
-    height,
-    sigma,
-    dc,
-    ac,
-    misfit,
-    used,
-    flag,
-    residual,
-):
-    """Every point's height, from its `start`.
+class Frames(NamedTuple):
+    """N frames of one eye, as `follow` takes them."""
 
-    images : (N, H, W) float32, coefficients of splines. samples : (N, P) float64 in their place, or (0, 0).
-    lens : as `see` takes it. cameras, projectors : (N, 3, 4) world to camera and to projector in each frame.
-    eyes : (N, 3) camera centres, world. slide : as `wave` takes it. drift : (N,) t_n; drift_sigma: what is believed of
-    g, 0 for none. noise : (3,) variance of a grey level I is noise . (1, I, I^2).
-    base : (P, 3). path, normal : (P, 3) or (1, 3) for all, path . normal = 1. start : (P,).
-    tolerance : of h, where rounds end.
-    Written: height, sigma (mm), dc, ac, misfit (chi^2, each frame's share at most Tukey's), used (frames), flag : (P,);
-    residual : (N, P) grey levels, or (0, 0).
+    images: Float32Array  # (N, H, W) coefficients of splines, or (0, 0, 0) where there are samples
+    samples: FloatArray  # (N, P) grey levels where the pixels are the points' own, or (0, 0)
+    lens: FloatArray  # as `see` takes it
+    cameras: FloatArray  # (N, 3, 4) world to camera
+    eyes: FloatArray  # (N, 3) camera centres, world
+    projectors: FloatArray  # (N, 3, 4) world to projector
+    slide: FloatArray  # as `wave` takes it
+    drift: FloatArray  # (N,) t_n
+
+
+class Tracks(NamedTuple):
+    """P points, each somewhere on its own line: X(h) = base + h * path."""
+
+    base: FloatArray  # (P, 3)
+    path: FloatArray  # (P, 3), or (1, 3) for all
+    normal: FloatArray  # (P, 3), or (1, 3) for all; path . normal = 1
+    start: FloatArray  # (P,) h that is begun with
+
+
+class Outcome(NamedTuple):
+    """What is written, all (P,)."""
+
+    height: FloatArray  # mm, NaN unless the flag is GOOD
+    sigma: FloatArray  # mm, likewise
+    dc: FloatArray
+    ac: FloatArray
+    misfit: FloatArray  # chi^2, each frame's share at most Tukey's
+    used: FloatArray  # frames
+    flag: FloatArray  # GOOD, or why there is no height
+
+    @staticmethod
+    def of(count: int) -> "Outcome":
+        return Outcome(*(np.full(count, np.nan) for _ in range(7)))
+
+
+@jit
+def follow(frames, tracks, drift_sigma, noise, tolerance, outcome, residual):  # type: ignore[no-untyped-def]
+    """Every point's height: `Frames` and `Tracks` in, `Outcome` out.
+
+    drift_sigma : what is believed of g, 0 for none. noise : (3,) variance of a grey level I is noise . (1, I, I^2).
+    tolerance : of h, where rounds end. residual : (N, P) grey levels, written, or (0, 0).
     """
-    tracked, frames = samples.size == 0, len(cameras)
+    images, samples, lens, cameras = frames.images, frames.samples, frames.lens, frames.cameras
+    eyes, projectors, slide, drift = frames.eyes, frames.projectors, frames.slide, frames.drift
+    base, path, normal, start = tracks.base, tracks.path, tracks.normal, tracks.start
+    height, sigma, dc, ac = outcome.height, outcome.sigma, outcome.dc, outcome.ac
+    misfit, used, flag = outcome.misfit, outcome.used, outcome.flag
+    tracked, count = samples.size == 0, len(cameras)
     # a block of points at a time: rows over points vectorise, and what a round needs stays in the nearest cache
-    value, weight, slope = np.empty((frames, BLOCK)), np.empty((frames, BLOCK)), np.empty((frames, BLOCK))
-    crest, steep, sine = np.empty((frames, BLOCK)), np.empty((frames, BLOCK)), np.empty((frames, BLOCK))
+    value, weight, slope = np.empty((count, BLOCK)), np.empty((count, BLOCK)), np.empty((count, BLOCK))
+    crest, steep, sine = np.empty((count, BLOCK)), np.empty((count, BLOCK)), np.empty((count, BLOCK))
     x, y, z, u, v = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     nx, ny, nz, out = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     which, h = np.empty(BLOCK, np.int64), np.empty(BLOCK)
@@ -267,7 +282,7 @@ def follow(  # type: ignore[no-untyped-def]
                 z[i] = base[p, 2] + h[i] * path[q, 2]
                 nx[i], ny[i], nz[i] = normal[r, 0], normal[r, 1], normal[r, 2]
                 out[i] = x[i] * nx[i] + y[i] * ny[i] + z[i] * nz[i]
-            for k in range(frames):
+            for k in range(count):
                 if tracked:
                     see_row(lens, cameras[k], x, y, z, live, u, v)
                     for i in range(live):
@@ -293,7 +308,7 @@ def follow(  # type: ignore[no-untyped-def]
                 if (
                     turn == 0
                 ):  # I = V1 + V2 cos phase - V3 sin phase: the sine's harmonics are small beside half a period
-                    for k in range(frames):
+                    for k in range(count):
                         grey, w, c = value[k, i], weight[k, i], crest[k, i]
                         if math.isfinite(grey):
                             wc, ws = w * c, w * sine[k, i]
@@ -320,10 +335,10 @@ def follow(  # type: ignore[no-untyped-def]
                     robust, total, cost = turn > 2, 0.0, 0.0
                     t0, t1, t2, t3, bt = 0.0, 0.0, 0.0, stiff, -tilt[i] * stiff
                     if robust:
-                        for k in range(frames):
+                        for k in range(count):
                             n += math.isfinite(value[k, i])
                         robust, n = n >= ROBUST_FROM, 0
-                    for k in range(frames):
+                    for k in range(count):
                         if not math.isfinite(value[k, i]):
                             continue
                         gain = 1.0 + tilt[i] * drift[k]
@@ -388,7 +403,7 @@ def follow(  # type: ignore[no-untyped-def]
                 if state == GOOD:
                     height[p], sigma[p] = h[i], math.sqrt(variance * scale[i])
                 if keep:
-                    for k in range(frames):
+                    for k in range(count):
                         residual[k, p] = math.nan
                         if state == GOOD and math.isfinite(value[k, i]):
                             predicted = (level[i] + swing[i] * crest[k, i]) * (1.0 + tilt[i] * drift[k])

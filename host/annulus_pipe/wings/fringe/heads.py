@@ -10,8 +10,9 @@ from annulus_pipe.geometry.calibration import STILL, HeadCamera, Matrix, matrix_
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.worlds.features import Feature
-from annulus_pipe.twin.worlds.sensor_head import Fringe, Fringes, Led, Optics, Rod
+from annulus_pipe.twin.worlds.sensor_head import Led, Optics, Rod
 from annulus_pipe.twin.worlds.world import World
+from annulus_pipe.wings.fringe.light import Fringe, Fringes
 from annulus_pipe.wings.fringe.measure import FringeProjector
 
 _PERIOD_MM = 8.0  # on the wall

@@ -1,0 +1,199 @@
+"""A slide of a sinusoid: stripes across one way, or rings whose phase is linear along a pipe (Alzuhiri 2022, §6.8).
+
+Lens blur is not a filter over the image: it lowers the modulation where the phase changes fast from pixel to pixel, and
+each harmonic by its own square.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from annulus_pipe.geometry.calibration import STILL, Calibration, matrix_of, vector_of
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.twin.lights.projector import Beam
+from annulus_pipe.twin.rays import Placed
+from annulus_pipe.twin.stretch import F32, LEVEL, LIT, Stretch, X, Y, Z, jit
+from annulus_pipe.twin.worlds.world import World, tupled
+from annulus_pipe.wings.fringe.measure import (
+    FringeProjector,
+    Lamp,
+    RingSlide,
+    lamps_to_list,
+    projector_to_dict,
+    ring_slide,
+)
+
+
+class FringeTable(NamedTuple):
+    """The slide in one frame."""
+
+    rotation: F32  # (3, 3), pipe to slide
+    numbers: F32  # kind, two rates and phase as `fringe.projector` has them, then harmonics
+    field: F32  # (2,) tangents: of rings where they begin and end, of stripes half the field's sides
+    modulation: np.float32
+    colour: F32  # (3,) as red, green, blue pixels see it
+
+
+@jit
+def through_fringes(part: Stretch, beam: Beam, table: FringeTable) -> None:
+    scratch, spread, v, odd, numbers = part.scratch, part.spread, part.v, part.odd, table.numbers
+    r00, r01, r02 = table.rotation[0, 0], table.rotation[0, 1], table.rotation[0, 2]
+    r10, r11, r12 = table.rotation[1, 0], table.rotation[1, 1], table.rotation[1, 2]
+    r20, r21, r22 = table.rotation[2, 0], table.rotation[2, 1], table.rotation[2, 2]
+    vx, vy, vz = beam.centre[0], beam.centre[1], beam.centre[2]
+    a, b, phase0, rings = numbers[1], numbers[2], numbers[3], numbers[0] > 0
+    near, far, modulation = table.field[0], table.field[1], table.modulation
+    even, other = table.colour[(v & 1) + odd], table.colour[(v & 1) + 1 - odd]
+    one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
+    for u in range(part.n):
+        px, py, pz = scratch[X + u] - vx, scratch[Y + u] - vy, scratch[Z + u] - vz
+        x, y = r00 * px + r01 * py + r02 * pz, r10 * px + r11 * py + r12 * pz
+        z = r20 * px + r21 * py + r22 * pz
+        open_, phase = zero, zero
+        if z > 0:
+            rho = np.sqrt(x * x + y * y)
+            if rings:
+                open_ = one if near * z < rho < far * z else zero
+                phase = a * z / max(rho, np.float32(1e-6)) + phase0
+            else:
+                open_ = one if abs(x) < near * z and abs(y) < far * z else zero
+                phase = (a * x + b * y) / z + phase0
+        rate = beam.blur * spread[u]
+        left = np.exp(-half * rate * rate)
+        light = one + modulation * left * np.cos(phase)
+        for k in range((numbers.size - 4) // 2):
+            order = np.float32(k + 2)
+            more = modulation * np.exp(-half * order * order * rate * rate)
+            light += more * (numbers[4 + 2 * k] * np.cos(order * phase) + numbers[5 + 2 * k] * np.sin(order * phase))
+        share = (other if u & 1 else even) * open_ * max(light, zero) / (one + modulation)
+        scratch[LEVEL + u] = scratch[LIT + u] * share
+
+
+class FringeSlide:
+    """The light of one of a world's `Fringes`. `axis` : of the slide's lens; `rims` : what it may light, rad."""
+
+    Table = FringeTable
+    kernel = staticmethod(through_fringes)
+    by_coordinate = True
+
+    def __init__(self, light: "Fringes", number: int) -> None:
+        fringe = light.slides[number]
+        slide = fringe.slide
+        self._slide = slide
+        rotation = np.array(slide.rotation)
+        self.axis = np.concatenate([np.array(slide.centre_mm), rotation[2]])
+        wide = [math.radians(angle) for angle in fringe.field_deg]
+        rings = slide.kind == "rings"
+        self.rims = (wide[0], wide[1]) if rings else (0.0, math.atan(math.hypot(*(math.tan(w) for w in wide))))
+        self.brightest = 1.0 / light.reach_mm**2
+        self._rotation = rotation
+        self._numbers = slide.numbers.astype(np.float32)
+        self._field = np.tan(wide).astype(np.float32)
+        self._modulation = np.float32(light.modulation)
+        self._colour = np.array(light.colour, np.float32)
+
+    def coordinate(self, points: FloatArray) -> FloatArray:
+        """(N, 3) mm in the head's frame -> (N,) rad: what the slide draws along."""
+        return self._slide.phase(points)
+
+    def table(self, pose: Placed, z_mm: float) -> FringeTable:
+        turn = (self._rotation @ pose.rotation).astype(np.float32)
+        return FringeTable(turn, self._numbers, self._field, self._modulation, self._colour)
+
+
+@dataclass(frozen=True, slots=True)
+class Fringe:
+    """One slide of a sinusoid, in the head's frame. field_deg : of rings the half-angles where they begin and end, of
+    stripes half the field across them and along. cameras : numbers of those that look at its light, slots : of the lamp
+    cycle at which it is lit; none: all."""
+
+    slide: FringeProjector
+    field_deg: tuple[float, float]
+    cameras: tuple[int, ...] = ()
+    slots: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Fringes:
+    """A projector, or several, of static sinusoids. reach_mm : from the light straight to a wall that gets the peak."""
+
+    slides: tuple[Fringe, ...]
+    reach_mm: float
+    modulation: float = 0.85  # of the light on the wall, where the lens is sharp
+    peak: float = 190.0  # grey levels above black on that wall, lit for its nominal time
+    colour: tuple[float, float, float] = (0.95, 1.0, 0.9)
+    nominal_us: float = 5000.0
+    rings: ClassVar[int] = 0
+    Slide: ClassVar[type] = FringeSlide
+
+    @property
+    def innermost(self) -> float:
+        """Half-angle to the pipe at which light begins, rad; of stripes, which look across it, a right angle's half."""
+        rings = [one.field_deg[0] for one in self.slides if one.slide.kind == "rings"]
+        return math.radians(min(rings, default=45.0))
+
+    @property
+    def in_turn(self) -> bool:
+        return any(one.slots for one in self.slides)
+
+    def lit(self, slot: int | None) -> int:
+        """Number of the slide that is lit at a slot of the lamp cycle."""
+        return next((k for k, one in enumerate(self.slides) if not one.slots or slot in one.slots), 0)
+
+    def looking(self, slot: int) -> tuple[int, ...]:
+        return self.slides[self.lit(slot)].cameras
+
+    def drawn(self) -> tuple[FringeSlide, ...]:
+        return tuple(FringeSlide(self, number) for number in range(len(self.slides)))
+
+    @staticmethod
+    def designed(*wave: Any, out: Path) -> tuple[RingSlide, list[Path]]:
+        """A slide for the pipes of a head, and its files. wave : as `ring_slide` takes it."""
+        from annulus_pipe.wings.fringe.slide_drawing import write_ring_slide
+
+        slide = ring_slide(*wave)
+        return slide, list(write_ring_slide(slide, out))
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any]) -> "Fringes":
+        """Of `dataclasses.asdict`."""
+        slides = tuple(
+            tupled(Fringe, {**one, "slide": tupled(FringeProjector, one["slide"])}) for one in data["slides"]
+        )
+        return tupled(cls, {**data, "slides": slides})
+
+    def calibration(self, world: World) -> Calibration:
+        """Everything in the first camera's frame, as a file has it."""
+        turn, moved = np.array(world.mounted[0]), np.array(world.mounted[1])
+        lamps = []
+        for one in self.slides:
+            centre = turn @ np.array(one.slide.centre_mm) + moved
+            slide = replace(
+                one.slide, centre_mm=vector_of(centre), rotation=matrix_of(np.array(one.slide.rotation) @ turn.T)
+            )
+            lamps.append(Lamp(slide, one.cameras, one.slots))
+        others = []
+        for other in world.others:
+            own = np.array(other.rotation) @ turn.T
+            place = np.array(other.translation_mm) - own @ moved
+            others.append(replace(other, rotation=matrix_of(own), translation_mm=vector_of(place)))
+        several = len(lamps) > 1 or bool(lamps[0].cameras)
+        lights = (
+            {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        )
+        beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": world.optics.black}}
+        if world.mounted[0] != STILL:
+            beside["pipe"] = {"rotation": turn.T.tolist(), "translation_mm": (-turn.T @ moved).tolist()}
+        return Calibration(
+            world.camera,
+            "",
+            (),
+            world.radius_mm,
+            others=tuple(others),
+            pattern={"kind": "fringe", **lights},
+            beside=beside,
+        )

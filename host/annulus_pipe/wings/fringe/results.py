@@ -1,0 +1,92 @@
+"""From an opened scan to its result files: a plate's heights, or a pipe's survey and the fine map behind it."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
+from annulus_pipe.report import Account, Paper, write
+from annulus_pipe.reprocess.executors import Executor
+from annulus_pipe.storage.place import Place
+from annulus_pipe.wall.conformity import judge
+from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings import Results
+from annulus_pipe.wings.fringe.job import FringeJob
+from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, Progress, reconstruct_fringe_pipe
+from annulus_pipe.wings.fringe.plate import reconstruct_fringe
+from annulus_pipe.wings.fringe.plate_page import write_plate
+
+if TYPE_CHECKING:
+    from annulus_pipe.cli.results import Told
+
+BY = {
+    "slide": "the slide: its calibrated phase says the height",
+    "cameras": "the cameras: the height at which both see one phase; the slide's own calibration is not used",
+}
+
+
+def measured(
+    job: FringeJob | FringePipeJob,
+    executor: Executor,
+    place: Place,
+    out: Path,
+    account: "Told",
+    *,
+    progress: Progress,
+    paper: Paper | None,
+    keep: bool,
+) -> Results:
+    """All result files, into `out`. place, keep : windows are kept there, and found again."""
+    kept = place if keep else None
+    if isinstance(job, FringePipeJob):
+        return _of_pipe(reconstruct_fringe_pipe(job, progress, executor, kept), job, account, out, paper)
+    return _of_plate(reconstruct_fringe(job, progress, executor, kept), job, account, out, paper)
+
+
+def _of_pipe(measured: MeasuredPipe, job: FringePipeJob, account: "Told", out: Path, paper: Paper | None) -> Results:
+    counts = job.scan.counts()
+    drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
+    verdict = None if account.limits is None else judge(measured.survey, account.limits)
+    rows = Account(
+        account.source, counts, drops, measured.timing_ms, measured.findings, origin=account.origin, verdict=verdict
+    )
+    seen = measured.map
+    depth = {
+        "phi_deg": seen.phi_deg,
+        "z_mm": seen.z_mm,
+        "radius_mm": seen.radius_mm,
+        "sigma_mm": seen.sigma_mm,
+        "at_least": seen.at_least,
+        "light": seen.dc,
+        "modulation": seen.modulation,
+    }
+    return Results(write(measured.survey, rows, out, depth=depth, paper=paper), None, measured.windows, measured.made)
+
+
+def _of_plate(plate: Plate, job: FringeJob, account: "Told", out: Path, paper: Paper | None) -> Results:
+    counts = job.scan.counts()
+    drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
+    summary = write_plate(plate, Account(account.source, counts, drops, plate.timing_ms), out, paper=paper)
+    return Results(summary, tuple(_lines(summary, counts, plate.by, out)), plate.windows, plate.made)
+
+
+def _lines(summary: Mapping[str, Any], counts: Mapping[str, int], by: str, out: Path) -> Iterator[str]:
+    yield f"by         {BY[by]}"
+    height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
+    yield f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}"
+    yield (
+        f"motion     {quoted(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
+        f"{quoted(places['off_odometer_mm'], MEASURE)} off what the frames say"
+    )
+    yield f"points     {summary['points']}, {quoted(100 * summary['completeness'], SHARE)} of what the slide lit"
+    if height["median"] is None:
+        yield "height     not measured: of no place could a height be told"
+    else:
+        yield f"height     {span(height['min'], height['max'], MEASURE)}, median {quoted(height['median'], MEASURE)}"
+        median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
+        yield f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth"
+    for reason, cells in summary["untold"].items():
+        yield f"not told   {cells} places: {reason}"
+    for warning in summary["warnings"]:
+        yield f"warning    {warning['text']}"
+    yield f"report     {out / 'report.html'}"
