@@ -24,10 +24,10 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
+from annulus_pipe.hooks import merged, opened
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged, opened
 
 if TYPE_CHECKING:
     from annulus_pipe.wall.conformity import Criteria

@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from annulus_pipe.cli.show import Json, group
+from annulus_pipe.hooks import merged
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged
 
 app = group("The projector's pattern.")
 

@@ -12,8 +12,8 @@ import typer
 
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus_pipe.cli.show import Bars, Json, progress, tell
+from annulus_pipe.hooks import opened
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import opened
 
 if TYPE_CHECKING:
     from annulus_pipe.reprocess import Executor

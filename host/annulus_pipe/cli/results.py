@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from annulus_pipe import wings
+from annulus_pipe import hooks
 from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
 from annulus_pipe.report import Account, keep_windows, prepare_folder, write, write_whole, write_window
@@ -99,7 +99,7 @@ def _folder(number: int) -> str:
     return window_folder(Path(), number).as_posix()
 
 
-def refuse(job: wings.Job, given: Mapping[str, Any]) -> None:
+def refuse(job: hooks.Job, given: Mapping[str, Any]) -> None:
     """AnnulusError where an option that was given does not go with a wing's scan. given : by its name in `refuses`."""
     for name, why in job.refuses.items():
         if given.get(name):
@@ -107,7 +107,7 @@ def refuse(job: wings.Job, given: Mapping[str, Any]) -> None:
 
 
 def measured_by(
-    wing: tuple[wings.Job, Callable[..., wings.Results]],
+    wing: tuple[hooks.Job, Callable[..., hooks.Results]],
     place: Place,
     account: Told,
     executor: "Executor",
@@ -115,7 +115,7 @@ def measured_by(
     *,
     paper: "Paper | None" = None,
     keep: bool = False,
-) -> wings.Results:
+) -> hooks.Results:
     """All result files of a wing's scan. bars : as `show.progress` takes it, or what it gives. keep : windows stay, so
     that the same command again goes on from there."""
     job, measure = wing

@@ -37,11 +37,11 @@ from annulus_pipe.daemon.samples import Samples, place_numbers, tell_place
 from annulus_pipe.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus_pipe.daemon.state import Event, State, next_state
 from annulus_pipe.daemon.vitals import Turns, Vitals
+from annulus_pipe.hooks import watch
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
-from annulus_pipe.wings import watch
 
 TELEMETRY_S = 1.0
 CHORES_S = 0.02  # between two looks at sensors, states and sockets

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import NDArray
 
+from annulus_pipe.hooks import Sheet, sheets
 from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.rounding import DISTANCE, span
@@ -25,7 +26,6 @@ from annulus_pipe.report.marks import marks_of
 from annulus_pipe.report.paper import DEVIATION, UNSEEN, Stretch, in_style, round_up
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wings import Sheet, sheets
 
 SHORT_M = 3.3  # so much goes into one map without sheets
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus_pipe.hooks import Sheet
 from annulus_pipe.job import Observation, Origin
 from annulus_pipe.numeric.rounding import clock_face, stored, stored_k2
 from annulus_pipe.report.account import Account
@@ -22,7 +23,6 @@ from annulus_pipe.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import Unjudged
 from annulus_pipe.wall.vibration import Vibration
-from annulus_pipe.wings import Sheet
 
 
 def summarize(survey: Survey, account: Account, files_ms: float, beside: Sequence[Sheet] = ()) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.hooks import added
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
@@ -31,7 +32,6 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import LedFrame
-from annulus_pipe.wings import added
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
@@ -56,7 +56,7 @@ class Reprocessed:
     timing_ms: Mapping[str, float]
 
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
-        """What profiles, LED frames and other sensors say of the pipe; see `wall.survey`, `wings.added`."""
+        """What profiles, LED frames and other sensors say of the pipe; see `wall.survey`, `hooks.added`."""
         leds = LedFrames(self.job, progress)
         turns, job = turns_of(self.job.scan), self.job
         scale = find_scale(self.profiles, job.calibration, job.sections, prior_of(job.scan))

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annulus_pipe.hooks import added
 from annulus_pipe.reprocess.engine import Progress, reprocess
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.gather import Ranged, gathered, in_ranges
@@ -33,7 +34,6 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.windows import POINTS_MAX, Reach, plan
-from annulus_pipe.wings import added
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
 WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py

@@ -4,11 +4,11 @@ from typing import Any
 
 import numba.extending
 
+from annulus_pipe.hooks import merged
 from annulus_pipe.twin.lights.slits import Slits
 from annulus_pipe.twin.stretch import OPTIONS
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
-from annulus_pipe.wings import merged
 
 # A slide has `axis`, `rims` and `brightest` (see SlideProjector), `coordinate(points)`, along which it draws, and
 # `by_coordinate`, whether one camera needs that too; a method `table(pose, z_mm)` that gives its numbers for one frame

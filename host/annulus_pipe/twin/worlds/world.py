@@ -18,13 +18,13 @@ from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.geometry.translucency import Translucency
+from annulus_pipe.hooks import merged
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.worlds.course import Course
 from annulus_pipe.twin.worlds.features import Feature
 from annulus_pipe.twin.worlds.paint import WHITE, print_line, stain
 from annulus_pipe.twin.worlds.sensor_head import Led, Light, Optics, Projector, Rod
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps

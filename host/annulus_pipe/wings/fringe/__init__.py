@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
+    from annulus_pipe.hooks import Results
     from annulus_pipe.storage.place import Where
     from annulus_pipe.twin.worlds import World
-    from annulus_pipe.wings import Results
     from annulus_pipe.wings.fringe.job import FringeJob
     from annulus_pipe.wings.fringe.pipe import FringePipeJob
 

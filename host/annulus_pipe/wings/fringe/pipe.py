@@ -73,7 +73,7 @@ class FringePipeJob:
     roll_rad: tuple[float, ...] | None  # None where nobody said
     window: int  # flashes
     findings: tuple[Finding, ...]
-    refuses: Mapping[str, str] = field(default_factory=dict)  # see wings.Job
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.Job
 
 
 @dataclass(frozen=True, slots=True)

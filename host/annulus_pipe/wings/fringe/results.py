@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from annulus_pipe.hooks import Results
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
 from annulus_pipe.report import Account, Paper, write
 from annulus_pipe.reprocess.executors import Executor
 from annulus_pipe.storage.place import Place
 from annulus_pipe.wall.conformity import judge
 from annulus_pipe.wall.plate import Plate
-from annulus_pipe.wings import Results
 from annulus_pipe.wings.fringe.job import FringeJob
 from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, Progress, reconstruct_fringe_pipe
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
