@@ -119,14 +119,14 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
 def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WINDOW", 6)
     held = []
-    read = module._Frames.of
+    read = module._WindowFrames.of
 
     def counted(self: Any, one: Any, start: int) -> Any:
         out = read(self, one, start)
         held.append(len(self._held))
         return out
 
-    monkeypatch.setattr(module._Frames, "of", counted)
+    monkeypatch.setattr(module._WindowFrames, "of", counted)
     places = tuple(np.arange(14) * 1.1)
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", places, heads=(LEFT,)), calibration(tmp_path)))
     assert max(held) <= 6

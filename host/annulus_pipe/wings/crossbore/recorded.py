@@ -25,11 +25,11 @@ from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wings.crossbore.lane import Lane, LaneMark
 from annulus_pipe.wings.crossbore.measure import (
     BORES,
-    Account,
-    Grid,
-    Head,
-    Indication,
+    BoreDetections,
+    BoreIndication,
+    CapacitiveHead,
     Passage,
+    PipeGrid,
     Run,
     detect,
     likely,
@@ -103,9 +103,9 @@ def take(passage: Passage, sample: Sample) -> bool:
     return True
 
 
-def _head(configured: Mapping[str, Any]) -> tuple[Head, float]:
+def _head(configured: Mapping[str, Any]) -> tuple[CapacitiveHead, float]:
     """The head that a recording's configuration describes; anything that describes none is passed over."""
-    usual = Head()
+    usual = CapacitiveHead()
     try:
         air_pf = untrusted.within(configured.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)
         coupling_ff = untrusted.within(configured.get("coupling_ff", usual.coupling_ff), "coupling_ff", 1.0, 1e4)
@@ -122,7 +122,7 @@ def take_pose(passage: Passage, profile: Profile, ahead_mm: float) -> None:
         passage.off(profile.z_mm, float(x), float(y))
 
 
-def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
+def _feature(one: BoreIndication, grid: PipeGrid, rolled: bool) -> Feature:
     clock, arc = ((one.phi_deg + 90.0) % 360, one.arc_deg) if rolled and math.isfinite(one.phi_deg) else (0.0, 360.0)
     measures = [Measure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
     sector = _sector(one, grid)
@@ -138,12 +138,12 @@ def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
     )
 
 
-def _sector(one: Indication, grid: Grid) -> int:
+def _sector(one: BoreIndication, grid: PipeGrid) -> int:
     """Number, from 1, of the sector that sees most of it; 0 where all see as much."""
     return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
 
 
-def _lane(account: Account, grid: Grid, run: Run) -> Lane:
+def _lane(account: BoreDetections, grid: PipeGrid, run: Run) -> Lane:
     marks = tuple(
         LaneMark(
             str(one.kind),

@@ -20,8 +20,8 @@ from annulus_pipe.twin.stretch import F32, LEVEL, LIT, Stretch, X, Y, Z, jit
 from annulus_pipe.twin.worlds.world import World, tupled
 from annulus_pipe.wings.fringe.measure import (
     FringeProjector,
-    Lamp,
     RingSlide,
+    SlideLamp,
     lamps_to_list,
     projector_to_dict,
     ring_slide,
@@ -175,7 +175,7 @@ class Fringes:
             slide = replace(
                 one.slide, centre_mm=vector_of(centre), rotation=matrix_of(np.array(one.slide.rotation) @ turn.T)
             )
-            lamps.append(Lamp(slide, one.cameras, one.slots))
+            lamps.append(SlideLamp(slide, one.cameras, one.slots))
         others = []
         for other in world.others:
             own = np.array(other.rotation) @ turn.T
