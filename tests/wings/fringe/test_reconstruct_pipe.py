@@ -10,7 +10,7 @@ import pytest
 from bores import LENS, RADIUS_MM, SLIDE
 
 from annulus_pipe.geometry.calibration import camera_to_dict
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wings.fringe import calibrate_pipe as calibrate
@@ -165,6 +165,6 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
     assert loss.kind is Kind.LOSS
     assert loss.depth_mm == pytest.approx(0.5, abs=0.03)
     assert (loss.z_mm, loss.clock_deg) == pytest.approx((108.0, 180.0), abs=0.5)
-    summary = write(found.survey, Account("here", {}, {}, {}), tmp_path / "out", depth={"z_mm": found.map.z_mm})
+    summary = write(found.survey, ScanAccount("here", {}, {}, {}), tmp_path / "out", depth={"z_mm": found.map.z_mm})
     assert summary["diameter_mm"]["mean"] == pytest.approx(2 * RADIUS_MM, abs=0.02)
     assert np.load(tmp_path / "out" / "depth.npz")["z_mm"].shape == found.map.z_mm.shape

@@ -136,9 +136,9 @@ class _Wire:
     """A host that only tells, and goes on when time has passed."""
 
     def __init__(self, bench: AcousticRig) -> None:
-        from annulus_pipe.link.session import Session, identify
+        from annulus_pipe.link.session import LinkSession, identify
 
-        self.bench, self.session = bench, Session()
+        self.bench, self.session = bench, LinkSession()
         self.tell(identify())
 
     def tell(self, command, wait: int = 200_000) -> None:

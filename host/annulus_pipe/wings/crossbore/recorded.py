@@ -19,7 +19,7 @@ from annulus_pipe.scans.scan import Scan
 from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.vocabulary import AnnulusError, Finding
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wings.crossbore.lane import Lane, LaneMark
@@ -124,12 +124,12 @@ def take_pose(passage: Passage, profile: Profile, ahead_mm: float) -> None:
 
 def _feature(one: BoreIndication, grid: PipeGrid, rolled: bool) -> Feature:
     clock, arc = ((one.phi_deg + 90.0) % 360, one.arc_deg) if rolled and math.isfinite(one.phi_deg) else (0.0, 360.0)
-    measures = [Measure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
+    measures = [FeatureMeasure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
     sector = _sector(one, grid)
     strongest = float(one.change_ff[int(np.argmax(np.abs(one.change_ff)))])
-    measures.append(Measure("change_ff", strongest))
+    measures.append(FeatureMeasure("change_ff", strongest))
     if arc < 360.0:
-        measures.append(Measure("towards_deg", clock, 2 * one.phi_sigma_deg))
+        measures.append(FeatureMeasure("towards_deg", clock, 2 * one.phi_sigma_deg))
     where = f"sector {sector}" if sector else "all sectors"
     how = "" if rolled else "; the head's roll is not known, and so no direction"
     fill = {"part": "air above water"}.get(str(one.kind), str(one.kind))

@@ -21,7 +21,7 @@ from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.reprocess.places import require_near
 from annulus_pipe.scans.scan import Scan, open_scan
 from annulus_pipe.storage.calibration_file import load_part
-from annulus_pipe.storage.place import Place, Where
+from annulus_pipe.storage.place import StoragePath, Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.apart import sound_wall_apart
 from annulus_pipe.wall.centreline import Centreline, Piece
@@ -224,7 +224,10 @@ def measured_window(job: FringePipeJob, window: FringeWindow, beside: dict[str, 
 
 
 def reconstruct_fringe_pipe(
-    job: FringePipeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+    job: FringePipeJob,
+    progress: Progress | None = None,
+    executor: Executor = in_process,
+    place: StoragePath | None = None,
 ) -> MeasuredPipe:
     """The wall. place : where windows are kept, and found again. AnnulusError where nothing can be measured."""
     started = time.perf_counter()

@@ -23,7 +23,7 @@ from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.reprocess.executors import Executor, in_process
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError, Finding, first_few
 from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order
@@ -93,7 +93,7 @@ def _curve(job: FringeJob) -> FringeJob:
 
 
 def reconstruct_fringe(
-    job: FringeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+    job: FringeJob, progress: Progress | None = None, executor: Executor = in_process, place: StoragePath | None = None
 ) -> Plate:
     """The heights of the plate. place : where windows are kept, and found again. AnnulusError where nothing can be
     measured."""

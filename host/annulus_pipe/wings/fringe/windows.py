@@ -18,7 +18,7 @@ from annulus_pipe.reprocess.ranges import FOLDER, identity, part_of
 from annulus_pipe.reprocess.versions import address, digest_of, measured_with
 from annulus_pipe.scans.scan import Scan
 from annulus_pipe.storage.arrays import require_plain_npz
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 
 Arrays = Mapping[str, Any]
@@ -69,7 +69,7 @@ class FringeWindowWork(Generic[Job, Part]):
     job: Job
     measure: Callable[[Job, FringeWindow, dict[str, Any]], Part]
     read: Callable[[Job, Arrays], Part]
-    place: Place | None = None
+    place: StoragePath | None = None
     beside: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from annulus_pipe.controller import (
     PIN_TRIGGER,
     TICK_S,
 )
-from annulus_pipe.twin.emulated import Board, open_board
+from annulus_pipe.twin.emulated import VirtualBoard, open_board
 from annulus_pipe.twin.line import Line, PtyLine, TcpLine
 from annulus_pipe.twin.real_time import rounds
 from annulus_pipe.wings.tai.measure.phantoms import phantom
@@ -35,7 +35,9 @@ _QUADRATURE = ((1, 1), (0, 1), (0, 0), (1, 0))  # of the turntable's encoder, a 
 class AcousticRig:
     """Board, receiver and scope in the board's time. `advance` moves it; `serving` does so in real time."""
 
-    def __init__(self, board: Board, receiver: Receiver, scope: SimulatedScope | None = None, *, boot: int = 1) -> None:
+    def __init__(
+        self, board: VirtualBoard, receiver: Receiver, scope: SimulatedScope | None = None, *, boot: int = 1
+    ) -> None:
         self.board, self.receiver = board, receiver
         self.scope = SimulatedScope(seed=receiver.setup.seed) if scope is None else scope
         self.steps = 0  # where the turntable stands
