@@ -3,8 +3,8 @@
 A wing is a package in `wings`, which finds them. Whichever of these stand in its `__init__` are all that the core knows
 of it, and none costs an import before it is called (so no module of a wing may have such a name):
 
-    opens(scan, calibration, by) -> Job | None        a scan that is this wing's to measure; None: it is not
-    measured(job, executor, place, ..) -> Results     from that job to its result files
+    opens(scan, calibration, by) -> WingJob | None    a scan that is this wing's to measure; None: it is not
+    measured(job, executor, place, ..) -> WingResults from that job to its result files
     watches(config, observers) -> None                a companion of a running head, which listens among its observers
     adds(survey, scan, profiles) -> Survey            what a scan's recording says beside the frames
     sheet(survey) -> Sheet | None                     that, drawn for the report
@@ -35,7 +35,7 @@ class Sheet(NamedTuple):
     summary: Mapping[str, Any]
 
 
-class Job(Protocol):
+class WingJob(Protocol):
     """A scan that a wing opened. refuses : options of a command that do not go with it, and with what they do not."""
 
     @property
@@ -45,7 +45,7 @@ class Job(Protocol):
     def refuses(self) -> Mapping[str, str]: ...
 
 
-class Results(NamedTuple):
+class WingResults(NamedTuple):
     """summary : as summary.json has it. lines : for people, before where the report lies;
     None: those of any survey. ranges, made : how many windows
     of the scan were measured apart, and how many of them now."""
@@ -61,7 +61,7 @@ def _those_with(hook: str) -> Iterator[Callable[..., Any]]:
     return (getattr(wing, hook) for wing in found if hasattr(wing, hook))
 
 
-def opened(scan: Any, calibration: Any = None, by: str = "") -> tuple[Job, Callable[..., Results]] | None:
+def opened(scan: Any, calibration: Any = None, by: str = "") -> tuple[WingJob, Callable[..., WingResults]] | None:
     """The job of the wing whose the scan is, and what measures it; None where it is rings'. Raises AnnulusError as the
     wing does, one line."""
     for opens in _those_with("opens"):

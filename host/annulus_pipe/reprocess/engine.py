@@ -23,7 +23,7 @@ from annulus_pipe.reprocess.places import (
     running_back_findings,
 )
 from annulus_pipe.reprocess.ranges import CHUNK
-from annulus_pipe.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
+from annulus_pipe.rings.diagnosis import FrameLighting, diagnose, exposure_findings, lamp_findings, reference_findings
 from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
@@ -82,7 +82,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     job, which, decided = decisions(job)
     measured = measure(job, which, executor, progress)
     profiles = tuple(profile for profile, _ in measured)
-    seen = Seen(
+    seen = AccountBasis(
         [(profile.frame, light) for profile, light in measured],
         [profile.pose for profile in profiles if profile.pose is not None],
         [profile.frame for profile in profiles if TWO_WALLS in profile.rejected],
@@ -126,12 +126,12 @@ def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class AccountBasis:
     """What of a scan's profiles its account is made of. lights : (frame, light) of every frame that was read; poses :
     of those that show a pipe; apart : frames whose cameras see two walls; pairs : flashes that all cameras saw;
     left_out : frames nobody could measure, and why stands in a finding."""
 
-    lights: Sequence[tuple[int, Exposure]]
+    lights: Sequence[tuple[int, FrameLighting]]
     poses: Sequence[Pose]
     apart: Sequence[int]
     pairs: int
@@ -139,7 +139,7 @@ class Seen:
 
 
 def account(
-    job: Job, which: Sequence[int], decided: Sequence[Finding], seen: Seen
+    job: Job, which: Sequence[int], decided: Sequence[Finding], seen: AccountBasis
 ) -> tuple[tuple[Finding, ...], dict[str, int], dict[str, int]]:
     """What is wrong with a scan's frames, how many there are by label, and what was lost, by kind.
 

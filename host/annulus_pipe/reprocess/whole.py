@@ -28,7 +28,7 @@ from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus_pipe.reprocess.windows import Files, survey_windows
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import Finding, Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale
@@ -63,7 +63,7 @@ class Filed:
     """The profiles of a scan where its ranges lie. facts : of each range, in their order; first : the number of each
     one's first frame, counted over all that were read."""
 
-    place: Place
+    place: StoragePath
     facts: tuple[Facts, ...]
     first: tuple[int, ...]
 
@@ -115,7 +115,7 @@ class Held:
 
 def surveyed(
     job: Job,
-    place: Place,
+    place: StoragePath,
     executor: Executor,
     files: Files,
     progress: Progress | None = None,
@@ -166,7 +166,7 @@ def surveyed(
 
 
 @contextlib.contextmanager
-def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
+def _ranges_in(place: StoragePath, keep: bool) -> Iterator[None]:
     """Ranges that are not to stay are taken away again, however the work ends."""
     try:
         yield
@@ -179,7 +179,7 @@ def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
                     (place.local / FOLDER).rmdir()
 
 
-def _filed(ranged: Ranged, place: Place) -> Filed:
+def _filed(ranged: Ranged, place: StoragePath) -> Filed:
     ends = accumulate((len(one.reaches) for one in ranged.facts), initial=0)
     bare = tuple(replace(one, poses=(), reaches=()) for one in ranged.facts)
     return Filed(place, bare, tuple(ends)[:-1])

@@ -8,12 +8,12 @@ own (`worlds` of hooks.py).
 from collections.abc import Callable, Mapping
 
 from annulus_pipe.hooks import merged
-from annulus_pipe.twin.worlds.features import Feature, clock_text
+from annulus_pipe.twin.worlds.features import WorldFeature, clock_text
 from annulus_pipe.twin.worlds.fittings import FITTINGS
 from annulus_pipe.twin.worlds.mirror import mirror_world
 from annulus_pipe.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus_pipe.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted, translucent
-from annulus_pipe.twin.worlds.sensor_head import Optics
+from annulus_pipe.twin.worlds.sensor_head import CameraOptics
 from annulus_pipe.twin.worlds.stereo import stereo_world
 from annulus_pipe.twin.worlds.world import World
 
@@ -23,9 +23,9 @@ __all__ = [
     "WHITE",
     "WORLDS",
     "YELLOW",
-    "Feature",
-    "Optics",
+    "CameraOptics",
     "World",
+    "WorldFeature",
     "clean_world",
     "clock_text",
     "demo_world",

@@ -46,7 +46,7 @@ class Projector:
         return self.cones[0].half_angle - math.radians(self.margin_deg[0])
 
 
-class Light(Protocol):
+class WingLight(Protocol):
     """A projector that a wing brings (`lights` of hooks.py), in place of a slide of slits: a dataclass, with a class
     `Slide` of what it draws with. peak : grey levels above black, lit for nominal_us."""
 
@@ -89,7 +89,7 @@ class Led:
 
 
 @dataclass(frozen=True, slots=True)
-class Optics:
+class CameraOptics:
     """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels.
 
     `balance`: white-balance gains red, green, blue, applied to light and noise before the black level is added and

@@ -124,7 +124,7 @@ def scan_command(
     """
     from annulus_pipe.wings.joints.linear_stage import LinearStage
     from annulus_pipe.wings.joints.probe import Probe, SampleProbe, VisaProbe
-    from annulus_pipe.wings.joints.scan import Plan, log_of, scan
+    from annulus_pipe.wings.joints.scan import RasterPlan, log_of, scan
 
     given = [one is not None for one in (port, stage, probe)]
     if twin == any(given) or any(given) != all(given):
@@ -132,7 +132,7 @@ def scan_command(
     queries = {name: key for name, key in (("amplitude_mv", amplitude), ("phase_mv", phase)) if key}
     if not twin and not queries:
         raise AnnulusError("give --amplitude, --phase or both: what the probe is asked for")
-    plan = Plan(angles, from_mm, to_mm, step_mm, averages, settle_ms, steps_per_turn, step_us)
+    plan = RasterPlan(angles, from_mm, to_mm, step_mm, averages, settle_ms, steps_per_turn, step_us)
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
