@@ -26,7 +26,7 @@ from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 from annulus_pipe.numeric.telling import telling
-from annulus_pipe.report import FILES, Account, prepare_folder, write
+from annulus_pipe.report import FILES, ScanAccount, prepare_folder, write
 from annulus_pipe.reprocess import (
     Job,
     LedFrames,
@@ -69,7 +69,7 @@ RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  #
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class FrameRate:
     """The frame rate this machine holds, and why."""
 
     fps: float
@@ -158,7 +158,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         print(line)
 
 
-def measure_pace(world: World) -> Pace:
+def measure_pace(world: World) -> FrameRate:
     """How many frames a second this machine renders, labels, records and reconstructs at the same time."""
     cores = len(os.sched_getaffinity(0))
     render_fps = sustainable_fps(world)
@@ -170,7 +170,7 @@ def measure_pace(world: World) -> Pace:
     together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS * len(world.cameras))
     workers = SHARE * default_workers() * 1e3 / (0.8 * reconstruct_ms)
     fps = min(FPS_MAX, SHARE * render_fps, together, workers)
-    return Pace(max(FPS_MIN, math.floor(2 * fps) / 2), render_fps, reconstruct_ms, cores)
+    return FrameRate(max(FPS_MIN, math.floor(2 * fps) / 2), render_fps, reconstruct_ms, cores)
 
 
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
@@ -248,12 +248,12 @@ def _is_whole(job: Job, index: int) -> bool:
 
 
 def _account(
-    job: Job, pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
-) -> Account:
+    job: Job, pipe: Survey, report: ScanReport, pace: FrameRate, late: Sequence[Profile], truth: Mapping[str, Any]
+) -> ScanAccount:
     frames = {label.value: report.frames.get(label.value, 0) for label in Label}
     drops = {**report.drops, "reconstructed_after_the_scan": len(late)}
     timing = {**stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps}
-    return Account(
+    return ScanAccount(
         f"annulus demo, simulated head, {pace.fps:g} fps",
         frames,
         drops,

@@ -14,7 +14,7 @@ import pytest
 from emulated import ROOT
 
 from annulus_pipe.selftest.page import render_page, render_table, verdict_line
-from annulus_pipe.selftest.promise import Row, Verdict
+from annulus_pipe.selftest.promise import PromiseVerdict, Row
 from annulus_pipe.selftest.run import SelfTest, WireGoes, run_selftest
 from annulus_pipe.testing.heads import SimulatedHead
 from tools.mutants import MUTANTS
@@ -58,8 +58,8 @@ def test_a_selftest_finds_what_the_readme_promises(whole: SelfTest) -> None:
     readme = (ROOT / "firmware/README.md").read_text(encoding="utf-8")
     (latency,) = re.findall(r"falling edge of GP2 to lamp \| delay \+ \*\*(\d+) ticks\*\*", readme)
     (reaction,) = re.findall(r"interlock opens to GP5 low \| (\d+) ticks at most", readme)
-    assert [r for r in whole.rows if r.verdict is Verdict.BROKEN] == []
-    assert {r.verdict for r in whole.rows} <= {Verdict.KEPT, Verdict.INFORMS, Verdict.NOT_TESTED}
+    assert [r for r in whole.rows if r.verdict is PromiseVerdict.BROKEN] == []
+    assert {r.verdict for r in whole.rows} <= {PromiseVerdict.KEPT, PromiseVerdict.INFORMS, PromiseVerdict.NOT_TESTED}
     for lamp, flashes in (("LED", EDGES), ("projector", 14)):
         lowest, highest, seen = row(whole, f"Falling edge of sync to {lamp}").values
         assert lowest == highest == int(latency)
@@ -81,10 +81,10 @@ def test_a_selftest_finds_what_the_readme_promises(whole: SelfTest) -> None:
 
 def test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing(bare: SelfTest) -> None:
     assert bare.broken == 0
-    assert row(bare, "Falling edge of sync to LED").verdict is Verdict.NOT_WIRED
+    assert row(bare, "Falling edge of sync to LED").verdict is PromiseVerdict.NOT_WIRED
     assert row(bare, "Falling edge of sync to LED").why == "needs GP8 (pin 11) to GP2 (pin 4)"
     assert row(bare, "Interlock opens to").why == "needs GP7 (pin 10) to GP5 (pin 7)"
-    assert row(bare, "Microwave pulse 0.3 us").verdict is Verdict.KEPT  # ground is all it wants
+    assert row(bare, "Microwave pulse 0.3 us").verdict is PromiseVerdict.KEPT  # ground is all it wants
 
 
 @pytest.mark.deep(
@@ -114,7 +114,7 @@ def test_a_selftest_of_a_board_that_breaks_a_promise_says_which(
     source.write_text(text.replace(fault.right, fault.wrong))
     subprocess.run(["make", "--silent", "-C", str(firmware), "image", "GIT=mutant00"], check=True, capture_output=True)
     test = selftest_of(firmware / "build/annulus.uf2", STEP_TO_SYNC, moves=False, edges=20)
-    assert [r.what for r in test.rows if r.verdict is Verdict.BROKEN] == broken
+    assert [r.what for r in test.rows if r.verdict is PromiseVerdict.BROKEN] == broken
 
 
 @pytest.mark.parametrize("of", ["bare", pytest.param("whole", marks=pytest.mark.deep)])

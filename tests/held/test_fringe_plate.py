@@ -15,8 +15,8 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.wings.fringe.measure import (
     FringeProjector,
+    FringeView,
     Points,
-    View,
     find_steps,
     heights,
     merged,
@@ -80,7 +80,7 @@ def test_the_plate(name: str, rms_mm: float, tmp_path: Path) -> None:
         weights.append(1 / np.maximum(steps.sigma_mm, 1e-6) ** 2)
     place = np.average(places, axis=0, weights=weights)
     for one, (images, _) in zip(cameras, taken, strict=True):
-        view = View.of(one, slide, place[:, None] * AHEAD)
+        view = FringeView.of(one, slide, place[:, None] * AHEAD)
         noise = noise_of(heights(view, images, coarse, drift_sigma=DRIFT))
         told_by_one, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
         assert 0.1 < blur < 0.22  # rendered with 0.8 px, 0.133 mm, before JPEG

@@ -15,7 +15,7 @@ import pytest
 from annulus_pipe.calibrate.head import calibrate_head
 from annulus_pipe.calibrate.pipe import PipeCalibration, save_pipe
 from annulus_pipe.calibrate.pipe_picture import draw_pipe
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import open_job, reprocess
 from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
@@ -86,7 +86,7 @@ def test_the_head_is_known_from_intrinsics_and_the_tubes_radius(calibration: Pat
 def test_a_damaged_pipe_is_measured_all_round(calibration: Path, tmp_path: Path) -> None:
     done = reprocess(open_job(SCENES / "stereo-a", calibration))
     pipe = done.survey()
-    write(pipe, Account("stereo-a", done.frames, done.drops, done.timing_ms), tmp_path)
+    write(pipe, ScanAccount("stereo-a", done.frames, done.drops, done.timing_ms), tmp_path)
     found = scorer().score_cloud(str(tmp_path / "cloud.ply"), str(SCENES / "stereo-a" / "truth"))
     assert found["rms_mm"] < 0.07
     assert found["rms_at_seams_mm"] < 0.08
@@ -124,7 +124,7 @@ def test_a_tenth_of_one_cameras_frames_lost_costs_directions_and_no_wrong_point(
         return [row for i, row in enumerate(rows) if i not in lost]
 
     done = reprocess(open_job(rewritten(SCENES / "stereo-a", tmp_path / "scan", drop), calibration))
-    write(done.survey(), Account("drop", done.frames, done.drops, done.timing_ms), tmp_path / "out")
+    write(done.survey(), ScanAccount("drop", done.frames, done.drops, done.timing_ms), tmp_path / "out")
     found = scorer().score_cloud(str(tmp_path / "out" / "cloud.ply"), str(SCENES / "stereo-a" / "truth"))
     assert any("camera 1 has no frame" in finding.text for finding in done.findings)
     assert found["rms_mm"] < 0.08

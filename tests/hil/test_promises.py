@@ -49,9 +49,8 @@ from annulus_pipe.link.messages import (
 from annulus_pipe.link.session import EventsLost
 from annulus_pipe.selftest.lamps import LATENCY, lamp_rows
 from annulus_pipe.selftest.microwave import interlock_closed, microwave_rows
-from annulus_pipe.selftest.promise import Verdict
-from annulus_pipe.selftest.scope import OWED_S
-from annulus_pipe.selftest.scope import Edge as LookEdge
+from annulus_pipe.selftest.promise import PromiseVerdict
+from annulus_pipe.selftest.scope import OWED_S, ScopeTrigger
 from annulus_pipe.vocabulary import Lamp
 
 PERIOD = TICK_HZ // 100
@@ -163,7 +162,7 @@ def test_the_last_events_can_be_asked_for_again(jumpered: Bench) -> None:
 def test_a_flash_follows_its_edge_by_a_constant(jumpered: Bench) -> None:
     """By its own measurement: delay and width to the tick."""
     jumpered.configure(stage(ratio=0, width=120))
-    jumpered.scope.begin(LookEdge(PIN_STEP, 1, PERIOD // 2 - 100), PIN_SYNC, looks=20)
+    jumpered.scope.begin(ScopeTrigger(PIN_STEP, 1, PERIOD // 2 - 100), PIN_SYNC, looks=20)
     jumpered.client.request(Arm(ArmFlag.LAMPS))
     jumpered.scope.steps(25, PERIOD)
     taken, differs = jumpered.scope.wait()
@@ -247,7 +246,7 @@ def test_nothing_measured_breaks_a_promise(jumpered: Bench) -> None:
     if interlock_closed(jumpered.scope):
         rows += microwave_rows(jumpered.scope)
     jumpered.scope.end()
-    assert [row for row in rows if row.verdict is not Verdict.KEPT] == []
+    assert [row for row in rows if row.verdict is not PromiseVerdict.KEPT] == []
 
 
 def test_an_outside_analyser_finds_the_same_flashes(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import Camera, HeldRequest, OneRequest, Request
+from annulus_pipe.capture.camera import CameraDriver, CompletedRequest, HeldRequest, OneRequest
 from annulus_pipe.capture.photometry import Light, measure
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.daemon.config import SLOTS
@@ -34,12 +34,12 @@ class First(OneRequest):
     """The head's own camera; what it sees the second sees too."""
 
     def __init__(self, camera: RemoteCamera) -> None:
-        self.camera, self.copies = camera, queue.Queue[Request]()
+        self.camera, self.copies = camera, queue.Queue[CompletedRequest]()
         self.width, self.height, self.encoding = camera.width, camera.height, camera.encoding
         self.start, self.stop, self.close = camera.start, camera.stop, camera.close
         self.set_controls = camera.set_controls
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         request = self.camera.capture_request()
         image, metadata = request.make_array("main"), request.get_metadata()
         h, w = self.height // 4, self.width // 4
@@ -56,7 +56,7 @@ class Second(OneRequest):
         self.first = first
         self.width, self.height, self.encoding = first.width // 4 * 2, first.height // 4 * 2, first.encoding
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         try:
             return self.first.copies.get(timeout=2.0)
         except queue.Empty:
@@ -74,7 +74,7 @@ class Second(OneRequest):
 def test_two_cameras_are_labelled_recorded_and_paired_by_their_flash(tmp_path: Path) -> None:
     with start_head(WORLD, 8.0, seed=5, speed_mm_s=25.0) as head:
         first = First(RemoteCamera(head.camera_address))
-        cameras: list[Camera] = [first, Second(first)]
+        cameras: list[CameraDriver] = [first, Second(first)]
         config = demo_config(head, WORLD, tmp_path)
         sizes = [replace(config.cameras[0], width=camera.width, height=camera.height) for camera in cameras]
         session = Session(

@@ -18,17 +18,17 @@ from results_hash import results_hash
 from toil import Toil
 
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import Processes, Reprocessed, in_process, make_ready, open_job, reprocess
 from annulus_pipe.reprocess.cluster import Dask, Tls
 from annulus_pipe.reprocess.executors import Failed
 from annulus_pipe.reprocess.gather import gathered, in_ranges
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.ranges import FOLDER
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import Feature, clean_world
+from annulus_pipe.twin.worlds import WorldFeature, clean_world
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall.profile import Profile
 from tools.bench.dask_processes import Cluster
@@ -45,7 +45,7 @@ RANGES = 6
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pocket = Feature("pocket", z_mm=90.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
+    pocket = WorldFeature("pocket", z_mm=90.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
     world = replace(clean_world(travel_mm=100.0).scaled(416), features=(pocket,), roll_deg=10.0)
     path, renderer = tmp_path_factory.mktemp("scan") / "scan.mcap", Renderer(world)
     size = world.camera.width, world.camera.height
@@ -87,14 +87,14 @@ def digest(profiles: tuple[Profile, ...]) -> str:
 
 def written(done: Reprocessed, folder: Path) -> str:
     folder.mkdir(exist_ok=True)
-    write(done.survey(), Account("scan", done.frames, done.drops, done.timing_ms, done.findings), folder)
+    write(done.survey(), ScanAccount("scan", done.frames, done.drops, done.timing_ms, done.findings), folder)
     return results_hash(folder)
 
 
 def test_local_workers_make_the_same_bits_and_resume_what_is_sound(
     job: Job, whole: Reprocessed, tmp_path: Path
 ) -> None:
-    place = Place(tmp_path)
+    place = StoragePath(tmp_path)
     alone = in_ranges(job, place, in_process, chunks=1)
     assert [one.made for one in alone.facts] == [True] * RANGES
     assert digest(gathered(alone, place, 0.0).profiles) == digest(whole.profiles)
@@ -133,7 +133,7 @@ def test_what_cannot_be_done_is_left_out_and_a_worker_with_other_libraries_is_re
 def test_one_hash_with_a_worker_killed_and_the_scheduler_begun_anew(
     cluster: Cluster, job: Job, whole: Reprocessed, tmp_path: Path
 ) -> None:
-    place, said, seen = Place(tmp_path / "place"), [], []
+    place, said, seen = StoragePath(tmp_path / "place"), [], []
 
     def progress(stage: str, done: int, total: int) -> None:
         seen.append(done)

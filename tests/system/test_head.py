@@ -14,7 +14,7 @@ import zmq
 from leftovers import left_in_shm
 
 from annulus_pipe import untrusted
-from annulus_pipe.capture.camera import Camera, CapturedFrame, grab
+from annulus_pipe.capture.camera import CameraDriver, CapturedFrame, grab
 from annulus_pipe.capture.picamera import plug
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.capture.timing import FrameTiming
@@ -63,7 +63,7 @@ def edges(client: Client) -> list[Edge]:
     return [h.event for h in client.poll() if isinstance(h, EventReceived) and isinstance(h.event, Edge)]
 
 
-def shoot(camera: Camera, client: Client, frames: int) -> tuple[list[CapturedFrame], list[Edge]]:
+def shoot(camera: CameraDriver, client: Client, frames: int) -> tuple[list[CapturedFrame], list[Edge]]:
     taken, seen = [], []
     for _ in range(frames):
         taken.append(grab(camera))

@@ -16,7 +16,7 @@ import pytest
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.daemon.check import check_head
 from annulus_pipe.daemon.config import RecordConfig
-from annulus_pipe.daemon.health import HARMLESS, UNKNOWN_SHARE, Health
+from annulus_pipe.daemon.health import HARMLESS, UNKNOWN_SHARE, HeadHealth
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.demo import demo_config
@@ -34,12 +34,12 @@ WORLD = demo_world(travel_mm=330.0).scaled(208)
 class Told(Observer):
     def __init__(self) -> None:
         self.events: list[str] = []
-        self.words: list[Health] = []
+        self.words: list[HeadHealth] = []
 
     def event(self, kind: str, text: str) -> None:
         self.events.append(text)
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         self.words.append(health)
 
 

@@ -80,6 +80,16 @@ def test_nothing_is_named_told_or_said() -> None:
     assert not vague
 
 
+def test_a_class_name_is_defined_once() -> None:
+    """Whoever reads or looks for a class meets one thing. Protocol messages keep the names they have on the wire."""
+    defined: dict[str, list[str]] = {}
+    for path in sorted(ROOMS.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                defined.setdefault(node.name, []).append(f"{path.relative_to(ROOMS)}:{node.lineno}")
+    assert not {name: places for name, places in defined.items() if len(places) > 1}
+
+
 def test_every_room_says_what_it_is_for_and_stands_on_the_map() -> None:
     silent, unmapped = [], []
     for init in sorted(ROOMS.rglob("__init__.py")):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from annulus_pipe.vocabulary import Finding
-from annulus_pipe.wings import Results, Sheet
+from annulus_pipe.hooks import Results, Sheet
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,7 @@ def listen() -> None:
 '''
 ASKED = """
 import sys
+import annulus_pipe.hooks as hooks
 import annulus_pipe.wings as wings
 wings.__path__.append(sys.argv.pop(1))
 """
@@ -113,10 +114,10 @@ from dataclasses import make_dataclass
 Heard = type("Heard", (), {"event": lambda self, kind, text: print(kind, text), "all": []})
 from annulus_pipe.daemon.config import SectorsConfig
 config = type("Config", (), {"sectors": SectorsConfig()})()
-wings.watch(config, Heard())
+hooks.watch(config, Heard())
 survey = make_dataclass("Survey", ["beside"])({})
-one = next(wing for wing in wings.wings() if wing.__name__.endswith("ultrasound"))
-print([sheet.title for sheet in wings.sheets(one.adds(survey, None, ()))])
+one = next(wing for wing in wings.found() if wing.__name__.endswith("ultrasound"))
+print([sheet.title for sheet in hooks.sheets(one.adds(survey, None, ()))])
 """
     done = run(fifth, code)
     assert "ultrasound listening" in done.stdout and "['Echoes']" in done.stdout, done.stderr

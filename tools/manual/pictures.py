@@ -41,7 +41,7 @@ def _frames() -> None:
 
 def _results() -> None:
     """What comes out of the sample recording."""
-    from annulus_pipe.report import Account, write
+    from annulus_pipe.report import ScanAccount, write
     from annulus_pipe.reprocess import Processes, open_job, reprocess
     from tools.sample.__main__ import write as write_sample
 
@@ -49,7 +49,9 @@ def _results() -> None:
         write_sample(Path(folder))
         done = reprocess(open_job(Path(folder) / "scan.mcap"), Processes(None))
         write(
-            done.survey(), Account("the sample", done.frames, done.drops, done.timing_ms, done.findings), Path(folder)
+            done.survey(),
+            ScanAccount("the sample", done.frames, done.drops, done.timing_ms, done.findings),
+            Path(folder),
         )
         for name in ("unwrapped", "texture"):
             image = cv2.imread(str(Path(folder) / f"{name}.png"), cv2.IMREAD_COLOR)

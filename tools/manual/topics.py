@@ -11,7 +11,7 @@ from typing import Any
 
 from annulus_pipe.daemon import found, live_wall, pictures, publishing
 from annulus_pipe.daemon.control import REQUEST_MAX, TEXT_MAX, Do
-from annulus_pipe.daemon.health import Health
+from annulus_pipe.daemon.health import HeadHealth
 from annulus_pipe.daemon.observer import Mark, Observer
 from annulus_pipe.daemon.state import State
 from annulus_pipe.job import JobSheet
@@ -114,7 +114,7 @@ BODIES: Mapping[str, Callable[[], list[tuple[str, str]]]] = {
     "closeup": lambda: [("scan", ""), *keys_of(found.closeup)],
     "state": lambda: keys_of(publishing.Publishing.state),
     "event": lambda: keys_of(publishing.Publishing.event),
-    "health": lambda: keys_of(Health.to_dict),
+    "health": lambda: keys_of(HeadHealth.to_dict),
     "ended": lambda: keys_of(publishing.Publishing.ended),
     "telemetry": lambda: [],
 }

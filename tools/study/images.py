@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
-from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
-from annulus_pipe.wings.tai.measure.imaging import TAIL, Image, time_reversal
+from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers, rim, time_step_s
+from annulus_pipe.wings.tai.measure.imaging import TAIL, AcousticImage, time_reversal
 from annulus_pipe.wings.tai.measure.phantoms import Box, Disc, Part, draw, phantom
 from annulus_pipe.wings.tai.measure.sweep import Sweep
 from tools.study.figure import Figure, FloatArray, profile, show_map
@@ -35,11 +35,11 @@ class Frame:
     pixel_mm: float
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> SoundGrid:
         return self._grid(self.pixel_mm)
 
     @property
-    def finer(self) -> Grid:
+    def finer(self) -> SoundGrid:
         return self._grid(FINER * self.pixel_mm)
 
     def row(self, y_mm: float) -> NDArray[np.int64]:
@@ -65,27 +65,27 @@ class Frame:
         ]
         return slice(kept[0][0], kept[0][-1] + 1), slice(kept[1][0], kept[1][-1] + 1)
 
-    def _grid(self, dx: float) -> Grid:
+    def _grid(self, dx: float) -> SoundGrid:
         ny, nx = (
             scipy.fft.next_fast_len(math.ceil(2 * size / dx) + 2 * PML_CELLS + 14, real=True)
             for size in (self.y_mm, self.x_mm)
         )
-        return Grid((ny, nx), dx)
+        return SoundGrid((ny, nx), dx)
 
 
 def drawn(
-    parts: tuple[Part, ...], grid: Grid, pixel_mm: float, shift_mm: tuple[float, float] = (0.0, 0.0)
+    parts: tuple[Part, ...], grid: SoundGrid, pixel_mm: float, shift_mm: tuple[float, float] = (0.0, 0.0)
 ) -> NDArray[np.float64]:
     """The sample on a grid, its edges as smooth as an image of `pixel_mm` can show them."""
     return np.asarray(gaussian_filter(draw(parts, grid, shift_mm), SMOOTH * pixel_mm / grid.dx_mm))
 
 
-def truth_of(parts: tuple[Part, ...], image: Image) -> NDArray[np.float64]:
+def truth_of(parts: tuple[Part, ...], image: AcousticImage) -> NDArray[np.float64]:
     dx = float(image.x_mm[1] - image.x_mm[0])
-    return drawn(parts, Grid((len(image.y_mm), len(image.x_mm)), dx), dx)
+    return drawn(parts, SoundGrid((len(image.y_mm), len(image.x_mm)), dx), dx)
 
 
-def quality(found: Image, truth: NDArray[np.float64], within_mm: float) -> tuple[float, float]:
+def quality(found: AcousticImage, truth: NDArray[np.float64], within_mm: float) -> tuple[float, float]:
     """(PSNR in dB with the truth's maximum as M, Eq. 8.21; correlation) inside a circle."""
     y, x = np.meshgrid(found.y_mm, found.x_mm, indexing="ij")
     inside = (np.hypot(x, y) < within_mm) & np.isfinite(found.values)
@@ -156,7 +156,7 @@ def fifty(finer: bool = True, pixel_mm: float = PIXEL_MM, radius_mm: float = RAD
     """50 angles of the sample with three inclusions, every frequency heard, no noise."""
     dx, shift = (FINER * pixel_mm, SHIFT_MM) if finer else (pixel_mm, (0.0, 0.0))
     side = scipy.fft.next_fast_len(math.ceil(2 * radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
-    grid, medium = Grid((side, side), dx), Medium(SPEED)
+    grid, medium = SoundGrid((side, side), dx), Medium(SPEED)
     solver = Solver(grid, medium)
     angles = np.arange(POSITIONS, dtype=np.float64) * (360.0 / POSITIONS)
     turn = np.radians(angles)
@@ -211,10 +211,10 @@ def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> F
     return Figure(numbers, paint, (16, 3.8))
 
 
-def _from_points(sweep: Sweep, like: Image, pixel_mm: float) -> FloatArray:
+def _from_points(sweep: Sweep, like: AcousticImage, pixel_mm: float) -> FloatArray:
     """Time reversal from nothing but the cells nearest to the receivers, on the pixels of `like`."""
     side = scipy.fft.next_fast_len(math.ceil(2 * sweep.radius_mm / pixel_mm) + 2 * PML_CELLS + 8, real=True)
-    grid = Grid((side, side), pixel_mm)
+    grid = SoundGrid((side, side), pixel_mm)
     cells, angles = rim(grid, sweep.radius_mm)
     nearest = [int(np.argmax(np.cos(angles - turn))) for turn in np.radians(sweep.angles_deg)]
     solver = Solver(grid, Medium(sweep.sound_speed_m_s), 1 / sweep.sampling_rate_hz)
@@ -248,7 +248,7 @@ def resolution(
     at = (1.5, 0.9)
     dx = FINER * pixel_mm
     side = scipy.fft.next_fast_len(math.ceil(2 * radius / dx) + 2 * PML_CELLS + 8, real=True)
-    grid = Grid((side, side), dx)
+    grid = SoundGrid((side, side), dx)
     solver = Solver(grid, Medium(SPEED))
     angles = np.arange(90, dtype=np.float64) * 4.0
     turn = np.radians(angles)

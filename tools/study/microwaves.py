@@ -18,14 +18,14 @@ from annulus_pipe.wings.tai.measure.electromagnetics import (
     OIL,
     WR340_MM,
     Dielectric,
-    Field,
+    MicrowaveField,
     half_space_loss,
     nodes,
     open_waveguide,
     plane_wave,
     slab_loss,
 )
-from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers, time_step_s
+from annulus_pipe.wings.tai.measure.field import Medium, Solver, SoundGrid, receivers, time_step_s
 from annulus_pipe.wings.tai.measure.phantoms import Box, Disc, Part, draw, phantom
 from tools.study.figure import Figure, FloatArray, profile, show_map
 from tools.study.images import SHIFT_MM, SMOOTH, Frame, likeness
@@ -44,7 +44,7 @@ TISSUE: tuple[Part, ...] = (Box(0.0, 0.0, 7.0, 6.0, 0.4), *INCLUSIONS)  # §7.8.
 # Microwaves
 
 
-def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> Field:
+def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> MicrowaveField:
     """Of a sample in oil; `value` of its parts is S/m.
 
     The sample's y points back to the guide: what lies at y < 0 is farther away, beneath the receivers.
@@ -54,21 +54,21 @@ def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> 
     # the sample's own frame: drawn upside down on a grid as large, with its middle in front of the mouth
     middle = 0.5 * (float(y[0]) + float(y[-1])) - AHEAD_MM
     turned = tuple(_mirrored(part) for part in parts)
-    sigma = draw(turned, Grid(size, step), (0.0, middle))
-    cover = draw(tuple(_valued(part) for part in turned), Grid(size, step), (0.0, middle))
+    sigma = draw(turned, SoundGrid(size, step), (0.0, middle))
+    cover = draw(tuple(_valued(part) for part in turned), SoundGrid(size, step), (0.0, middle))
     lossy = 2 * math.pi * FREQUENCY_HZ * EPS0
     eps = OIL.eps_r * (1 - cover) + eps_r * cover - 1j * sigma / lossy
     return open_waveguide(eps, step, x, y, POWER_W)
 
 
-def absorbed_w(field: Field) -> float:
+def absorbed_w(field: MicrowaveField) -> float:
     """Power that stays in the sample, W, for a guide as high as it is."""
     step = float(field.x_mm[1] - field.x_mm[0]) * 1e-3
     return float(field.loss_w_m3.sum()) * step**2 * WR340_MM[1] * 1e-3
 
 
 def loss_on(
-    field: Field, parts: tuple[Part, ...], grid: Grid, pixel_mm: float, shift: tuple[float, float]
+    field: MicrowaveField, parts: tuple[Part, ...], grid: SoundGrid, pixel_mm: float, shift: tuple[float, float]
 ) -> FloatArray:
     """sigma |E|^2 on a grid of sound: |E|^2 is smooth across edges, the conductivity's edges are the sample's."""
     square = RegularGridInterpolator((field.y_mm, field.x_mm), np.abs(field.e_v_m) ** 2, method="cubic")

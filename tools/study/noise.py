@@ -20,7 +20,7 @@ from annulus_pipe.numeric.arrays import Chips
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord
 from annulus_pipe.wings.tai.decode import decode_record, sweep_of
-from annulus_pipe.wings.tai.measure.imaging import Image, time_reversal
+from annulus_pipe.wings.tai.measure.imaging import AcousticImage, time_reversal
 from annulus_pipe.wings.tai.measure.phantoms import phantom
 from annulus_pipe.wings.tai.measure.templates import decode_pair
 from annulus_pipe.wings.tai.simulate import Setup, coupling, simulate, through
@@ -128,7 +128,7 @@ def treated(record: AcousticRecord, how: How, setup: Setup = SETUP) -> AcousticR
 class Condition:
     """One way to shoot and to filter: the image without noise, and images of one shot's noise of rms 1."""
 
-    clean: Image
+    clean: AcousticImage
     noise: tuple[FloatArray, ...]
 
     def at(self, noise: float, seed: int = 0) -> FloatArray:
@@ -136,7 +136,7 @@ class Condition:
         return np.asarray(self.clean.values + noise * self.noise[seed % len(self.noise)])
 
 
-def imaged(record: AcousticRecord) -> Image:
+def imaged(record: AcousticRecord) -> AcousticImage:
     """Pixels as long as the chip asks for."""
     assert record.chip_s is not None
     return time_reversal(sweep_of(record), pixel=PIXEL_MM * record.chip_s / CHIP_S)
@@ -158,7 +158,7 @@ def condition(sample: str, code: str, how: How = "minimax", setup: Setup = SETUP
     return Condition(clean, noise_images(code, how, setup, seeds))
 
 
-def within(image: Image, radius_mm: float) -> NDArray[np.bool_]:
+def within(image: AcousticImage, radius_mm: float) -> NDArray[np.bool_]:
     y, x = np.meshgrid(image.y_mm, image.x_mm, indexing="ij")
     return np.asarray((np.hypot(x, y) < radius_mm) & np.isfinite(image.values))
 
@@ -419,10 +419,10 @@ def pair_trace() -> Figure:
 
 def show_sample(axes: Any, name: str, title: str) -> None:
     """What stands in front of the receiver."""
-    from annulus_pipe.wings.tai.measure.field import Grid
+    from annulus_pipe.wings.tai.measure.field import SoundGrid
     from annulus_pipe.wings.tai.measure.phantoms import draw
 
-    grid = Grid((300, 300), 2 * SETUP.radius_mm / 280)
+    grid = SoundGrid((300, 300), 2 * SETUP.radius_mm / 280)
     show_map(axes, draw(phantom(name), grid), grid.x_mm, grid.y_mm, title, (0, 1.05))
     axes.plot(SETUP.radius_mm, 0, "<", color="tab:orange")
 

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from annulus_pipe.archive.chain import believed_states, joined, likeliest, row_costs
 from annulus_pipe.archive.detail import COLUMNS, Detail, believed, detail_of, smoothed
 from annulus_pipe.archive.wall_map import WallMap
-from annulus_pipe.archive.whereabouts import SCALE, STRETCH_MM, Stretch, find
+from annulus_pipe.archive.whereabouts import SCALE, STRETCH_MM, MatchedStretch, find
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
@@ -122,7 +122,7 @@ def align(
         )
     columns = min(COLUMNS, first.deviation_mm.shape[1], second.deviation_mm.shape[1])
     mine = detail_of(first, columns)
-    best: tuple[float, WallMap, Detail, list[Stretch]] | None = None
+    best: tuple[float, WallMap, Detail, list[MatchedStretch]] | None = None
     turned = False
     for way in (False, True):
         wall = second.turned_about() if way else second
@@ -173,7 +173,7 @@ class _Laying:
         second: WallMap,
         mine: Detail,
         theirs: Detail,
-        found: list[Stretch],
+        found: list[MatchedStretch],
         progress: Callable[[str, int, int], None],
     ) -> None:
         self.first, self.second, self.mine, self.theirs = first, second, mine, theirs

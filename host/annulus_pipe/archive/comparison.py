@@ -10,13 +10,13 @@ import numpy as np
 
 from annulus_pipe.archive.alignment import Alignment, align
 from annulus_pipe.archive.difference import LOST_MM, Difference, lay
-from annulus_pipe.archive.growth import CHANGED, Change, Growth, Verdict, grown
+from annulus_pipe.archive.growth import CHANGED, Change, Growth, GrowthVerdict, grown
 from annulus_pipe.archive.listed import laid_out, named, read_listed
 from annulus_pipe.archive.ovality import MeanDiameter, Ovality, mean_diameter, ovality
 from annulus_pipe.archive.wall_map import WallMap, read_map
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, quoted, span
-from annulus_pipe.storage.results_folder import Place
+from annulus_pipe.storage.results_folder import ListedPlace
 
 FORMAT = "annulus-growth/1"
 Progress = Callable[[str, int, int], None]
@@ -92,10 +92,10 @@ class Comparison:
         z = self.first.z_mm
         if last - first < 0.9 * (z[-1] - z[0]):
             out.append(f"Both saw only {span(first, last, DISTANCE)} of the first; nothing is said of the rest.")
-        unseen = sum(one.verdict is Verdict.UNSEEN for one in self.growth.changes)
+        unseen = sum(one.verdict is GrowthVerdict.UNSEEN for one in self.growth.changes)
         if unseen:
             out.append(f"{unseen} defect{'s' if unseen > 1 else ''} that one scan has lie where the other did not see.")
-        undecided = sum(one.verdict is Verdict.UNDECIDED for one in self.growth.changes)
+        undecided = sum(one.verdict is GrowthVerdict.UNDECIDED for one in self.growth.changes)
         if undecided:
             out.append(
                 f"{undecided} defect{'s are' if undecided > 1 else ' is'} undecided: nothing says to "
@@ -161,7 +161,7 @@ class Comparison:
         ]
         out += [
             f"{'listed':<10} {one.called} at {quoted(one.z_mm, DISTANCE)}, clock {one.clock_deg:.0f}°: {one.verdict}"
-            + (f", within ± {off(one.growth_k2_mm, MEASURE)}" if one.verdict is Verdict.SAME else "")
+            + (f", within ± {off(one.growth_k2_mm, MEASURE)}" if one.verdict is GrowthVerdict.SAME else "")
             for one in self.growth.changes
             if one.called and one.verdict not in CHANGED
         ]
@@ -189,7 +189,7 @@ def compare_maps(
     first: WallMap,
     second: WallMap,
     progress: Progress = lambda what, done, total: None,
-    lists: tuple[Sequence[Place], Sequence[Place]] = ((), ()),
+    lists: tuple[Sequence[ListedPlace], Sequence[ListedPlace]] = ((), ()),
 ) -> Comparison:
     """The same of maps that were read. lists: the defects that a report of each lists."""
     alignment = align(first, second, progress)

@@ -60,7 +60,7 @@ class Floor:
         return abs((clock_deg - self.clock_deg + 180.0) % 360.0 - 180.0)
 
 
-class Search:
+class FloorSearch:
     """One map (Z, A) mm with the sigma of its cells, from which floors are taken."""
 
     def __init__(

@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from annulus_pipe.archive.difference import Difference, Laid
-from annulus_pipe.archive.floors import BAR_SIGMA, Floor, Search
+from annulus_pipe.archive.floors import BAR_SIGMA, Floor, FloorSearch
 from annulus_pipe.numeric.arrays import Float32Array
 
 LEAST_MM = 0.15  # two heads, calibrated apart, and what lies between rows, make up to this much; benchmark `growth`
@@ -35,7 +35,7 @@ ABSENT_MM = 0.15  # a depth below it is none: of a new defect before, of one tha
 ABSENT_PART = 0.2  # .. and so is one below this part of what it is in the other year
 
 
-class Verdict(StrEnum):
+class GrowthVerdict(StrEnum):
     """What two scans say of one place."""
 
     NEW = "new"
@@ -47,7 +47,7 @@ class Verdict(StrEnum):
     UNDECIDED = "undecided"
 
 
-CHANGED = (Verdict.NEW, Verdict.GROWN, Verdict.LESS, Verdict.GONE)
+CHANGED = (GrowthVerdict.NEW, GrowthVerdict.GROWN, GrowthVerdict.LESS, GrowthVerdict.GONE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Change:
     depth_second_mm: float
     growth_mm: float
     growth_k2_mm: float
-    verdict: Verdict
+    verdict: GrowthVerdict
     first: str = ""
     second: str = ""
 
@@ -99,15 +99,15 @@ def grown(
     z, column = difference.z_mm, difference.column_mm
     defects: list[tuple[int, Floor]] = []
     for year, field in enumerate((difference.second, difference.first)):
-        found = Search(field, difference.sigma_of(year), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM)
+        found = FloorSearch(field, difference.sigma_of(year), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM)
         defects += [(year, floor) for floor in found]
         progress(what, 1 + year, 5)
     # what grew, and where it may have, has taken part in what each row was said to have on the whole
-    rough = Search(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
+    rough = FloorSearch(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
     progress(what, 3, 5)
     if rough or defects:
         difference = laid.difference(_standing([*rough, *(floor for _, floor in defects)]))
-    search = Search(difference.grown, difference.sigma, z, column)
+    search = FloorSearch(difference.grown, difference.sigma, z, column)
     least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
     changed = search.floors(LEAST_MM)
     progress(what, 4, 5)
@@ -144,9 +144,11 @@ def grown(
         if not any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in covered):
             alone = all(abs(one.z_mm - floor.z_mm) > one.length_mm / 2 for one in covered)
             lost = bool(laid.lost[int(np.argmin(np.abs(difference.z_mm - floor.z_mm)))])
-            change = _unchanged(difference, floor, year, alone, Verdict.UNDECIDED if lost else Verdict.UNSEEN)
-            if _torn(floor, defects, laid.torn_mm) and change.verdict is not Verdict.UNSEEN:
-                change = replace(change, growth_mm=np.nan, growth_k2_mm=np.nan, verdict=Verdict.UNDECIDED)
+            change = _unchanged(
+                difference, floor, year, alone, GrowthVerdict.UNDECIDED if lost else GrowthVerdict.UNSEEN
+            )
+            if _torn(floor, defects, laid.torn_mm) and change.verdict is not GrowthVerdict.UNSEEN:
+                change = replace(change, growth_mm=np.nan, growth_k2_mm=np.nan, verdict=GrowthVerdict.UNDECIDED)
             changes.append(change)
             covered.append(floor)
     progress(what, 5, 5)
@@ -185,7 +187,7 @@ def _by_heights(one: Floor, other: Floor) -> Change:
     k2 = _k2(sigma, max(abs(one.height_mm), abs(other.height_mm)))
     if abs(growth) > max(LEAST_MM, k2):
         return _change(one, one.height_mm, other.height_mm, growth, k2, _verdict(one.height_mm, other.height_mm))
-    return _change(one, one.height_mm, other.height_mm, growth, k2, Verdict.SAME)
+    return _change(one, one.height_mm, other.height_mm, growth, k2, GrowthVerdict.SAME)
 
 
 def _standing(floors: list[Floor]) -> list[Floor]:
@@ -230,19 +232,19 @@ def _k2(sigma_mm: float, height_mm: float) -> float:
     return float(2 * np.sqrt(sigma_mm**2 + SHARED_MM**2 + (SHARED_PART * height_mm) ** 2))
 
 
-def _change(floor: Floor, before: float, after: float, growth: float, k2: float, verdict: Verdict) -> Change:
+def _change(floor: Floor, before: float, after: float, growth: float, k2: float, verdict: GrowthVerdict) -> Change:
     return Change(floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, before, after, growth, k2, verdict)
 
 
-def _verdict(before: float, after: float) -> Verdict:
+def _verdict(before: float, after: float) -> GrowthVerdict:
     if abs(before) < max(ABSENT_MM, ABSENT_PART * abs(after)):
-        return Verdict.NEW
+        return GrowthVerdict.NEW
     if abs(after) < max(ABSENT_MM, ABSENT_PART * abs(before)):
-        return Verdict.GONE
-    return Verdict.GROWN if abs(after) > abs(before) else Verdict.LESS
+        return GrowthVerdict.GONE
+    return GrowthVerdict.GROWN if abs(after) > abs(before) else GrowthVerdict.LESS
 
 
-def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool, otherwise: Verdict) -> Change:
+def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool, otherwise: GrowthVerdict) -> Change:
     """A defect of the second (year 0) or the first alone: its growth by its own shape, or the
     verdict `otherwise` where too little of it was seen to tell."""
     growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
@@ -253,7 +255,7 @@ def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool, oth
     k2 = _k2(sigma, growth)
     if alone and abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
         return _change(floor, before, after, growth, k2, _verdict(before, after))
-    return _change(floor, before, after, growth, max(k2, abs(growth)), Verdict.SAME)  # it may be nothing
+    return _change(floor, before, after, growth, max(k2, abs(growth)), GrowthVerdict.SAME)  # it may be nothing
 
 
 def _height(field: Float32Array, difference: Difference, floor: Floor) -> float:
@@ -281,4 +283,4 @@ def _along(
     return float(solved[0]), float(np.sqrt(np.linalg.inv(normal)[0, 0])), share
 
 
-__all__ = ["BAR_SIGMA", "CHANGED", "Change", "Growth", "Verdict", "grown"]
+__all__ = ["BAR_SIGMA", "CHANGED", "Change", "Growth", "GrowthVerdict", "grown"]

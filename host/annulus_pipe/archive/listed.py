@@ -13,10 +13,10 @@ import numpy as np
 
 from annulus_pipe.archive.alignment import Alignment
 from annulus_pipe.archive.floors import SHAPE, Floor
-from annulus_pipe.archive.growth import LEAST_MM, Change, Verdict
+from annulus_pipe.archive.growth import LEAST_MM, Change, GrowthVerdict
 from annulus_pipe.archive.ovality import Ovality
 from annulus_pipe.archive.wall_map import WallMap
-from annulus_pipe.storage.results_folder import SUMMARY, Place, places, read_summary, unreadable
+from annulus_pipe.storage.results_folder import SUMMARY, ListedPlace, places, read_summary, unreadable
 
 SLACK_DEG = 5.0  # round, beside half an arc, by which two programs see a defect's middle otherwise
 OVAL, BUMP = "ovality", "bump"  # kinds, as a summary calls them
@@ -45,7 +45,7 @@ class Listed:
         )
 
 
-def read_listed(folder: Path) -> tuple[Place, ...]:
+def read_listed(folder: Path) -> tuple[ListedPlace, ...]:
     """Defects of a folder's summary.json; none of a map alone. AnnulusError, one line, for a file that is none."""
     if not (folder.is_dir() and (folder / SUMMARY).exists()):
         return ()
@@ -55,7 +55,9 @@ def read_listed(folder: Path) -> tuple[Place, ...]:
         raise unreadable(folder / SUMMARY, error) from None
 
 
-def laid_out(first: Sequence[Place], second: Sequence[Place], wall: WallMap, alignment: Alignment) -> list[Listed]:
+def laid_out(
+    first: Sequence[ListedPlace], second: Sequence[ListedPlace], wall: WallMap, alignment: Alignment
+) -> list[Listed]:
     """Both lists on the first. wall: the second's map."""
     out = [Listed(0, f"D{k}", one.kind, _floor(one), 0.0, True) for k, one in enumerate(first, 1)]
     known = np.flatnonzero(np.isfinite(alignment.z_mm))
@@ -80,7 +82,7 @@ def laid_out(first: Sequence[Place], second: Sequence[Place], wall: WallMap, ali
     return out
 
 
-def _floor(one: Place) -> Floor:
+def _floor(one: ListedPlace) -> Floor:
     depth = one.depth_mm or 0.0
     return Floor(
         one.z_mm,
@@ -116,7 +118,7 @@ def named(changes: Sequence[Change], listed: Sequence[Listed], oval: Ovality, ra
 def _untold(one: Listed) -> Change:
     floor = one.floor
     depths = (floor.height_mm, math.nan) if one.year == 0 else (math.nan, floor.height_mm)
-    verdict = Verdict.UNDECIDED if one.inside else Verdict.UNSEEN
+    verdict = GrowthVerdict.UNDECIDED if one.inside else GrowthVerdict.UNSEEN
     return Change(floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, *depths, math.nan, math.nan, verdict)
 
 
@@ -124,10 +126,10 @@ def _of_ovality(one: Listed, oval: Ovality, radius_mm: float) -> Change:
     """Depth and growth are of a diameter from the mean diameter, as a report says them."""
     at = oval.at(one.floor.z_mm, one.floor.length_mm / 2)
     if at is None:
-        return replace(_untold(one), verdict=Verdict.UNSEEN)
+        return replace(_untold(one), verdict=GrowthVerdict.UNSEEN)
     then, now, k2 = (float(part[at]) * radius_mm / 50.0 for part in (oval.first, oval.second, oval.change_k2))
     stands = abs(now - then) > max(LEAST_MM, k2)
-    verdict = (Verdict.GROWN if now > then else Verdict.LESS) if stands else Verdict.SAME
+    verdict = (GrowthVerdict.GROWN if now > then else GrowthVerdict.LESS) if stands else GrowthVerdict.SAME
     return replace(
         _untold(one),
         depth_first_mm=then,

@@ -40,7 +40,7 @@ NEAR_MM = 3000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class MatchedStretch:
     """Of the second, middle at z_mm of its own: it lies at first_mm on the first, turned by roll_deg over what the
     sensors say. gain: log-likelihood over chance."""
 
@@ -59,7 +59,7 @@ class _Binned:
 
 def find(
     first: WallMap, second: WallMap, details: tuple[Detail, Detail], progress: Callable[[int, int], None]
-) -> list[Stretch]:
+) -> list[MatchedStretch]:
     """Stretches of the second that belong together on the first, in order; few or none where it is another pipe."""
     size = max(BIN_MM, first.step_mm, second.step_mm)
     with_sensor = details[0].roll_deg is not None and details[1].roll_deg is not None
@@ -67,9 +67,9 @@ def find(
     rows = min(max(round(STRETCH_MM / size), 8), len(other.cells), len(one.cells))
     starts = list(range(0, len(other.cells) - rows + 1, max(round(EVERY_MM / size), 1)))
     seeds = starts if len(starts) <= SEEDS else starts[:: -(-len(starts) // SEEDS)]
-    candidates: dict[int, list[Stretch]] = {}
+    candidates: dict[int, list[MatchedStretch]] = {}
 
-    def look(which: Sequence[int], near: Callable[[float], tuple[float, float]] | None) -> list[Stretch]:
+    def look(which: Sequence[int], near: Callable[[float], tuple[float, float]] | None) -> list[MatchedStretch]:
         for start in which:
             if start not in candidates:
                 progress(len(candidates), len(starts))
@@ -124,7 +124,7 @@ def _candidates(
     rows: int,
     size: float,
     near: Callable[[float], tuple[float, float]] | None,
-) -> list[Stretch]:
+) -> list[MatchedStretch]:
     middle = second.first_mm + (start + rows / 2) * size
     low, high = 0, len(one.cells)
     if near is not None:
@@ -160,7 +160,7 @@ def _candidates(
     for lag, turn in where[np.argsort(-evidence[tuple(where.T)])][:CANDIDATES]:
         roll = (turn * 360.0 / columns + 180.0) % 360.0 - 180.0
         place = first.first_mm + (low + lags[lag] + rows / 2) * size
-        out.append(Stretch(middle, place, roll, float(evidence[lag, turn]) - CHANCE))
+        out.append(MatchedStretch(middle, place, roll, float(evidence[lag, turn]) - CHANCE))
     return out
 
 
@@ -179,7 +179,7 @@ def _against(one: ComplexArray, other: ComplexArray, lags: IntArray, columns: in
     return np.asarray(np.clip(off / np.maximum(high - low, 1)[:, None] / OVAL_MM**2, 0.0, OVAL_MOST))
 
 
-def _chain(candidates: Sequence[Sequence[Stretch]], with_sensor: bool) -> list[Stretch]:
+def _chain(candidates: Sequence[Sequence[MatchedStretch]], with_sensor: bool) -> list[MatchedStretch]:
     """The chain of stretches that says most, at most one of each candidates' list."""
     every = [(k, one) for k, some in enumerate(candidates) for one in some]
     if not every:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from annulus_pipe import untrusted
 from annulus_pipe.calibrate.camera import CameraCalibration
 from annulus_pipe.geometry.calibration import camera_to_dict
-from annulus_pipe.geometry.seen_by_both import Moment, Placed, place_second
+from annulus_pipe.geometry.seen_by_both import Moment, PlacedCamera, place_second
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.rings.calibration.bundle import Solution, turned_by
 from annulus_pipe.storage.calibration_file import update_calibration
@@ -30,7 +30,7 @@ class BothCameras:
     is needed of the target."""
 
     cameras: tuple[CameraCalibration, CameraCalibration]
-    placed: Placed
+    placed: PlacedCamera
     moments: tuple[tuple[str, str], ...]
 
     @property
@@ -116,7 +116,7 @@ class TargetPlacement:
     camera: int
     rotation: FloatArray  # (3, 3)
     centre_mm: FloatArray  # (3,)
-    covariance: FloatArray  # (6, 6), see geometry.seen_by_both.Placed
+    covariance: FloatArray  # (6, 6), see geometry.seen_by_both.PlacedCamera
 
 
 def placement_from_dict(data: object) -> TargetPlacement | None:

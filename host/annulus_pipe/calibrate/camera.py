@@ -53,7 +53,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Photograph:
+class TargetPhotograph:
     """One image's part in a calibration. `rejected`: why it has none. `rms_px`: NaN where no target was found. `pose`:
     (3, 3) and (3,) mm, target to camera, of those kept; `own_origin`: counted from the target's own first corner, so
     that poses of one place of it are comparable; else from the first corner that was seen."""
@@ -75,7 +75,7 @@ class CameraCalibration:
     intrinsics: Intrinsics
     target: Target
     target_was_given: bool
-    photographs: tuple[Photograph, ...]
+    photographs: tuple[TargetPhotograph, ...]
     rms_everything_px: float  # of a plain fit to every corner of every target found, nothing rejected
     coverage: float  # part of the image inside the outline of some target's corners
     warnings: tuple[str, ...]
@@ -245,7 +245,7 @@ def calibrate_camera(
         if i not in rms and view is not None:
             rms[i] = target_pose(first.camera, observations_of([i])[0])[2]
         photographs.append(
-            Photograph(
+            TargetPhotograph(
                 file.name,
                 0 if view is None else len(view.cells),
                 int(np.count_nonzero(~good[i])) if i in kept else 0,

@@ -6,7 +6,7 @@ from pathlib import Path
 from annulus_pipe.calibrate.sample import Progress, Sampled, sample
 from annulus_pipe.calibrate.wall import MeasuredWall, measure_wall
 from annulus_pipe.rings.colour import ColourProfile, Stripes, learn, stripes
-from annulus_pipe.rings.diagnosis import Exposure, Trouble, exposure_findings
+from annulus_pipe.rings.diagnosis import FrameLighting, Trouble, exposure_findings
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.storage.calibration_file import load_calibration
@@ -43,7 +43,7 @@ def calibrate_colour(
     known = load_calibration(calibration)
     reconstructor = Reconstructor(known)
     seen: list[Stripes] = []
-    exposures: list[tuple[int, Exposure]] = []
+    exposures: list[tuple[int, FrameLighting]] = []
     frames: list[Sampled] = []
     for frame in sample(open_scan(scan), known.camera, FRAMES, progress):
         exposures.append((frame.index, frame.exposure))

@@ -23,7 +23,7 @@ from annulus_pipe.rings.calibration.contours import Contours, Look
 from annulus_pipe.rings.calibration.corrections import fit_corrections, ring_corrections
 from annulus_pipe.rings.calibration.cross_validation import Measured, hold_out
 from annulus_pipe.rings.calibration.observations import Observations, observe
-from annulus_pipe.rings.diagnosis import LOST_MOST, Exposure
+from annulus_pipe.rings.diagnosis import LOST_MOST, FrameLighting
 from annulus_pipe.rings.polar import ring_pixels
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.storage.calibration_file import load_part, update_calibration
@@ -389,7 +389,7 @@ def warn(
     radius: float,
     last_radius: float | None,
     last: Calibration | None,
-    exposures: Sequence[Exposure],
+    exposures: Sequence[FrameLighting],
     full: Sequence[int],
 ) -> tuple[str, ...]:
     """What may be wrong, a line each. full : rings, from 1, that lie between over-exposed stripes all round."""

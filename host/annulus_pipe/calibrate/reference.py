@@ -6,7 +6,7 @@ from pathlib import Path
 
 from annulus_pipe.calibrate.sample import Progress, sample
 from annulus_pipe.rings.calibration.reference import Reference, learn
-from annulus_pipe.rings.diagnosis import Exposure, Trouble, exposure_findings
+from annulus_pipe.rings.diagnosis import FrameLighting, Trouble, exposure_findings
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.storage.calibration_file import load_calibration
@@ -38,7 +38,7 @@ def calibrate_reference(
         known = replace(known, pipe_radius_mm=radius_mm)
     reconstructor = Reconstructor(known)
     profiles: list[Profile] = []
-    exposures: list[tuple[int, Exposure]] = []
+    exposures: list[tuple[int, FrameLighting]] = []
     for frame in sample(open_scan(scan), known.camera, FRAMES, progress):
         exposures.append((frame.index, frame.exposure))
         seed = profiles[-1].pose if profiles else None

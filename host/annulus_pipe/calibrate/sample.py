@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.rings.diagnosis import FrameLighting, diagnose
 from annulus_pipe.scans.scan import Scan
 from annulus_pipe.vocabulary import AnnulusError, Label
 
@@ -18,7 +18,7 @@ class Sampled:
 
     index: int
     z_mm: float
-    exposure: Exposure
+    exposure: FrameLighting
     image: Image
 
 

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from annulus_pipe.rings.pattern import Pattern, preview
+from annulus_pipe.rings.pattern import RingPattern, preview
 from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -20,7 +20,7 @@ ABOVE_MM, BELOW_MM = 3.0, 4.0  # more of it, for words and the scale
 INK = {"R": "#ff0000", "G": "#00ff00", "B": "#0000ff"}
 
 
-def write_design(pattern: Pattern, focal_mm: float, folder: Path) -> list[Path]:
+def write_design(pattern: RingPattern, focal_mm: float, folder: Path) -> list[Path]:
     """slide.svg, slide.pdf (to scale), slide.png, preview.png, calibration.json. Returns what was written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -43,7 +43,7 @@ def write_design(pattern: Pattern, focal_mm: float, folder: Path) -> list[Path]:
     return out
 
 
-def _slide(pattern: Pattern, focal_mm: float) -> Figure:
+def _slide(pattern: RingPattern, focal_mm: float) -> Figure:
     """One unit of the axes is one mm of the page."""
     stripes = pattern.radii_mm(focal_mm)
     reach = stripes[-1][2]
@@ -90,7 +90,7 @@ def _cross(axes: Axes, x: float, y: float) -> None:
     axes.add_patch(Circle((x, y), 1.0, fill=False, edgecolor="black", linewidth=0.25))
 
 
-def _preview(pattern: Pattern) -> Figure:
+def _preview(pattern: RingPattern) -> Figure:
     head = pattern.head
     pipes = sorted({head.least_mm, head.nominal_mm, head.most_mm})
     figure = Figure(figsize=(6.0 * len(pipes), 6.0 * head.camera.height / head.camera.width + 0.4), dpi=110)

@@ -36,7 +36,7 @@ class EndOfFrames(Exception):
 
 
 @runtime_checkable
-class Request(Protocol):
+class CompletedRequest(Protocol):
     """One captured frame that still belongs to the camera (Picamera2: CompletedRequest). Release it soon."""
 
     def make_array(self, name: str) -> Image:
@@ -52,7 +52,7 @@ class Request(Protocol):
 
 
 @runtime_checkable
-class Camera(Protocol):
+class CameraDriver(Protocol):
     """What the rest of annulus asks of a camera. The methods are Picamera2's; the three attributes are ours."""
 
     width: int
@@ -68,7 +68,7 @@ class Camera(Protocol):
     def close(self) -> None:
         """Give the device back. Safe to call twice."""
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         """Wait for the next frame. TimeoutError when none came in time, EndOfFrames after the last of a file."""
 
     def capture_array(self, name: str = "main") -> Image:
@@ -95,7 +95,7 @@ class CapturedFrame:
     arrived_ns: int  # when we had it, before anything was done with it; host monotonic
 
 
-def grab(camera: Camera) -> CapturedFrame:
+def grab(camera: CameraDriver) -> CapturedFrame:
     """The next frame, checked and released. Raises TimeoutError, EndOfFrames, AnnulusError as the camera does."""
     request = camera.capture_request()
     arrived_ns = time.monotonic_ns()
@@ -127,7 +127,7 @@ def grab(camera: Camera) -> CapturedFrame:
 
 
 class HeldRequest:
-    """A Request whose picture is already in our memory: nothing to hand back."""
+    """A CompletedRequest whose picture is already in our memory: nothing to hand back."""
 
     def __init__(self, image: Image, metadata: dict[str, Any]) -> None:
         self._image = image
@@ -146,7 +146,7 @@ class HeldRequest:
 class OneRequest:
     """`capture_array` and `capture_metadata` of a camera that has `capture_request`."""
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         raise NotImplementedError
 
     def capture_array(self, name: str = "main") -> Image:

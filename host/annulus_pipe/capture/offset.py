@@ -72,7 +72,7 @@ class Offset:
     holed: bool = False  # frames are missing among these, and no count spans them: the last may be of another offset
 
 
-class Before(NamedTuple):
+class ProvedOffset(NamedTuple):
     """What was proved before the camera began anew."""
 
     offset_ns: float
@@ -149,7 +149,7 @@ def calibrate_offset(
     *,
     arrivals: bool = True,
     preamble: bool = True,
-    before: Before | None = None,
+    before: ProvedOffset | None = None,
     adrift: bool = False,
 ) -> Offset:
     """The camera's offset from frames whose pictures show what lit them, and the edges of the same seconds.
@@ -229,7 +229,9 @@ def _shifts(lag: float | None, preamble: bool) -> Sequence[int]:
     return range(math.ceil(LAG_PERIODS_MIN - lag), math.floor(longest - lag) + 1)
 
 
-def _weight(lag: float | None, shift: int, phase: int, period_ns: int, before: Before | None, adrift: bool) -> float:
+def _weight(
+    lag: float | None, shift: int, phase: int, period_ns: int, before: ProvedOffset | None, adrift: bool
+) -> float:
     """How likely a shift is before any picture was looked at, against one that is usual. A driver that has been seen to
     keep more frames may keep any number."""
     if lag is None:

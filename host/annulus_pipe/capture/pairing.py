@@ -25,11 +25,11 @@ from typing import NamedTuple
 from annulus_pipe.capture.continuity import Continuity
 from annulus_pipe.capture.doubt import Agreed, Doubt, Glimpse
 from annulus_pipe.capture.history import EdgeHistory, PlacedEdge
-from annulus_pipe.capture.offset import CLEAR, LIGHTS, WINDOW, Before, Offset, OffsetTrack
+from annulus_pipe.capture.offset import CLEAR, LIGHTS, WINDOW, Offset, OffsetTrack, ProvedOffset
 from annulus_pipe.capture.photometry import Light
-from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, News, Reason, State, Witness, next_state
+from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, News, ProofState, Reason, Witness, next_state
 from annulus_pipe.capture.seen import FrameSeen
-from annulus_pipe.capture.witnesses import Arrivals, Count, Delivery, Pictures
+from annulus_pipe.capture.witnesses import Arrivals, Count, Delivery, RecentPictures
 from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
@@ -90,11 +90,11 @@ class Pairing:
         self.history = history or EdgeHistory()
         self.edge, self.invalidate = self.history.edge, self.history.invalidate
         self._period_ns, self._without, self._tell = period_ns, without, tell
-        self._state = State.SEARCHING
+        self._state = ProofState.SEARCHING
         self._track = OffsetTrack(0, period_ns)
-        self._arrivals, self._count, self._pictures = Arrivals(period_ns), Count(), Pictures()
+        self._arrivals, self._count, self._pictures = Arrivals(period_ns), Count(), RecentPictures()
         self._delivery = Delivery()
-        self.before: Before | None = None  # what was proved before the camera began anew
+        self.before: ProvedOffset | None = None  # what was proved before the camera began anew
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._continuity = Continuity(self.history, self._delivery)
         self._failing: dict[Lamp, int] = {}  # lamps that lit no picture; by how many they are sound again
@@ -110,7 +110,7 @@ class Pairing:
         self._odd = False  # the last picture was blank, or shown before
 
     @property
-    def state(self) -> State:
+    def state(self) -> ProofState:
         return self._state
 
     @property
@@ -135,12 +135,12 @@ class Pairing:
     @property
     def doubtful(self) -> bool:
         """Every label is unknown meanwhile."""
-        return self._state is not State.PROVED
+        return self._state is not ProofState.PROVED
 
     @property
     def passing(self) -> bool:
         """In doubt, but the next pictures of the lamp cycle will do: a preamble is not worth its dark frames."""
-        return self._state is State.DOUBTED and self._doubt.suspected and self._doubt.frames < SUSPECTED_FRAMES_MAX
+        return self._state is ProofState.DOUBTED and self._doubt.suspected and self._doubt.frames < SUSPECTED_FRAMES_MAX
 
     @property
     def _window_ns(self) -> int:
@@ -178,7 +178,7 @@ class Pairing:
 
     def label(self, frame: FrameSeen) -> Labelled:
         """The verdict on a frame. Frames in the order of capture."""
-        if self._state is State.SEARCHING:
+        if self._state is ProofState.SEARCHING:
             return self.passed(frame)
         self._latest_ns = frame.timestamp_ns
         met = self._pictures.met(frame.picture)
@@ -346,7 +346,7 @@ class Pairing:
             return News.BLANK
         if reason is not Reason.SKIPPED or self._last is None or judged.closing is None:
             return None
-        none_missing = self._state is State.DOUBTED and judged.closing.ordinal - self._last <= self._since
+        none_missing = self._state is ProofState.DOUBTED and judged.closing.ordinal - self._last <= self._since
         return None if none_missing else News.SKIPPED
 
     def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, moved: int) -> str:
@@ -453,8 +453,8 @@ class Pairing:
         self.adrift = False
 
     def _adrift(self, why: str) -> None:
-        if self._state in (State.PROVED, State.DOUBTED):
-            self.before = Before(self._track.at(self._latest_ns), self._arrivals.usual_ns)
+        if self._state in (ProofState.PROVED, ProofState.DOUBTED):
+            self.before = ProvedOffset(self._track.at(self._latest_ns), self._arrivals.usual_ns)
         self.adrift = True
         self._move(News.ADRIFT, why)
 
@@ -462,10 +462,10 @@ class Pairing:
         before, self._state = self._state, next_state(self._state, news)
         if self._state is before:
             again = news is News.SKIPPED and self._doubt.suspected  # a hole is met again with every frame behind it
-            if self._state is State.DOUBTED and news in SUSPICIONS and not again:
+            if self._state is ProofState.DOUBTED and news in SUSPICIONS and not again:
                 self._doubt.suspect()
             return
-        if self._state in (State.DOUBTED, State.TENTATIVE):
+        if self._state in (ProofState.DOUBTED, ProofState.TENTATIVE):
             taken = None if Witness.ORDER in self._without else self._last
             self._doubt.begin(news, taken, Witness.ARRIVAL not in self._without and self._delivery.one_witness)
         if self._tell is not None:

@@ -21,7 +21,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from annulus_pipe.capture.camera import BGR8, MOSAICS, Camera, OneRequest, Request
+from annulus_pipe.capture.camera import BGR8, MOSAICS, CameraDriver, CompletedRequest, OneRequest
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -81,7 +81,7 @@ class Mosaic:
 
 
 class PicameraCamera(OneRequest):
-    """A real, configured Picamera2 object as our Camera: its raw stream where one is configured, else "main"."""
+    """A real, configured Picamera2 object as our CameraDriver: its raw stream where one is configured, else "main"."""
 
     def __init__(self, camera: Any, expected: Mapping[str, Any] | None = None) -> None:
         """expected : controls that must be in force SETTLE_FRAMES after the start, by what the metadata say."""
@@ -106,7 +106,7 @@ class PicameraCamera(OneRequest):
         self._came = threading.Condition()
         self._running = False
 
-    # ---- Camera ----
+    # ---- CameraDriver ----
 
     def start(self) -> None:
         self._frames_seen, self._running = 0, True
@@ -131,7 +131,7 @@ class PicameraCamera(OneRequest):
             self.stop()
         self._camera.close()
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         """TimeoutError when none came for `timeout_s`; AnnulusError when the sensor does not do what it was told."""
         with self._came:
             if not self._came.wait_for(lambda: bool(self._held), self.timeout_s):
@@ -213,9 +213,9 @@ class _Taken:
         self._request.release()
 
 
-def plug(camera: object) -> Camera:
-    """Make a Camera of what the user has: one of ours as it is, a configured Picamera2 object in an adapter."""
-    if isinstance(camera, Camera):
+def plug(camera: object) -> CameraDriver:
+    """Make a CameraDriver of what the user has: one of ours as it is, a configured Picamera2 object in an adapter."""
+    if isinstance(camera, CameraDriver):
         return camera
     if hasattr(camera, "camera_configuration") and hasattr(camera, "capture_request"):
         return PicameraCamera(camera)

@@ -110,7 +110,7 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
             f"tune: saturated, at best {min(one.saturated for one in readings):.0%} of the pixels: shorten the flash"
         )
     _same(readings)
-    fit = _Fit(readings, light, timing, height)
+    fit = _PlateauFit(readings, light, timing, height)
     if fit.misfit > MISFIT_MAX:
         raise AnnulusError(
             f"tune: the light does not follow the delay as in a rolling shutter ({fit.misfit:.0%} besides):"
@@ -190,7 +190,7 @@ def _same(readings: Sequence[Reading]) -> None:
                     )
 
 
-class _Fit:
+class _PlateauFit:
     """opens, closes and readout that explain the readings best; light of a whole flash and black besides."""
 
     def __init__(self, readings: Sequence[Reading], light: Array, timing: FrameTiming, height: int) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 
-class State(StrEnum):
+class ProofState(StrEnum):
     SEARCHING = "searching"  # no offset is known
     TENTATIVE = "tentative"  # one is, from another day
     PROVED = "proved"  # pictures agreed under this one, and under no other that is possible
@@ -84,25 +84,25 @@ CONTRADICTIONS = frozenset({News.EARLY, News.ORDER, News.SEQUENCE, News.BETWEEN,
 # What contradicts nobody, and withdraws the proof all the same.
 SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED, News.BLANK})
 
-TRANSITIONS: Mapping[tuple[State, News], State] = {
-    (State.SEARCHING, News.FOUND): State.PROVED,
-    (State.SEARCHING, News.GIVEN): State.TENTATIVE,
-    (State.TENTATIVE, News.FOUND): State.PROVED,
-    (State.TENTATIVE, News.GIVEN): State.TENTATIVE,
-    (State.TENTATIVE, News.AGREED): State.PROVED,
-    (State.PROVED, News.FOUND): State.PROVED,
-    (State.PROVED, News.GIVEN): State.TENTATIVE,
-    (State.DOUBTED, News.FOUND): State.PROVED,
-    (State.DOUBTED, News.GIVEN): State.TENTATIVE,
-    (State.DOUBTED, News.AGREED): State.PROVED,
-    (State.DOUBTED, News.GIVEN_UP): State.SEARCHING,
-    **{(state, News.ADRIFT): State.SEARCHING for state in State},
-    **{(State.TENTATIVE, news): State.SEARCHING for news in CONTRADICTIONS | SUSPICIONS},
-    **{(State.PROVED, news): State.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
-    **{(State.DOUBTED, news): State.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
+TRANSITIONS: Mapping[tuple[ProofState, News], ProofState] = {
+    (ProofState.SEARCHING, News.FOUND): ProofState.PROVED,
+    (ProofState.SEARCHING, News.GIVEN): ProofState.TENTATIVE,
+    (ProofState.TENTATIVE, News.FOUND): ProofState.PROVED,
+    (ProofState.TENTATIVE, News.GIVEN): ProofState.TENTATIVE,
+    (ProofState.TENTATIVE, News.AGREED): ProofState.PROVED,
+    (ProofState.PROVED, News.FOUND): ProofState.PROVED,
+    (ProofState.PROVED, News.GIVEN): ProofState.TENTATIVE,
+    (ProofState.DOUBTED, News.FOUND): ProofState.PROVED,
+    (ProofState.DOUBTED, News.GIVEN): ProofState.TENTATIVE,
+    (ProofState.DOUBTED, News.AGREED): ProofState.PROVED,
+    (ProofState.DOUBTED, News.GIVEN_UP): ProofState.SEARCHING,
+    **{(state, News.ADRIFT): ProofState.SEARCHING for state in ProofState},
+    **{(ProofState.TENTATIVE, news): ProofState.SEARCHING for news in CONTRADICTIONS | SUSPICIONS},
+    **{(ProofState.PROVED, news): ProofState.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
+    **{(ProofState.DOUBTED, news): ProofState.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
 }
 
 
-def next_state(state: State, news: News) -> State:
+def next_state(state: ProofState, news: News) -> ProofState:
     """What is not in the table changes nothing."""
     return TRANSITIONS.get((state, news), state)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe import untrusted
-from annulus_pipe.capture.camera import BGR8, ENCODINGS, SIDE_MAX, HeldRequest, OneRequest, Request
+from annulus_pipe.capture.camera import BGR8, ENCODINGS, SIDE_MAX, CompletedRequest, HeldRequest, OneRequest
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -33,7 +33,7 @@ FRAME_WAIT_S = 2.0
 
 
 class RemoteCamera(OneRequest):
-    """See capture.camera.Camera. `timing` is the mode the server runs, fixed for as long as it does."""
+    """See capture.camera.CameraDriver. `timing` is the mode the server runs, fixed for as long as it does."""
 
     def __init__(self, address: str, timeout_s: float = FRAME_WAIT_S) -> None:
         """address : @name of the abstract socket. timeout_s : to wait for a frame.
@@ -86,7 +86,7 @@ class RemoteCamera(OneRequest):
         with contextlib.suppress(BufferError):
             self._memory.close()
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         """Wait for the next frame. Raises TimeoutError when none comes, AnnulusError when the server is gone."""
         try:
             message = self._socket.recv(MESSAGE_MAX)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.capture import videodev as v4l2
-from annulus_pipe.capture.camera import HeldRequest, OneRequest, Request
+from annulus_pipe.capture.camera import CompletedRequest, HeldRequest, OneRequest
 from annulus_pipe.capture.pixels import ENCODINGS_OF, Layout
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -39,8 +39,8 @@ class NoSuchControl(AnnulusError):
 
 
 class V4L2Camera(OneRequest):
-    """See capture.camera.Camera. Frames that waited in the driver while nobody asked come first, with their own stamps
-    and counts; at most four.
+    """See capture.camera.CameraDriver. Frames that waited in the driver while nobody asked come first, with their own
+    stamps and counts; at most four.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class V4L2Camera(OneRequest):
         self._buffers = []
         device.close()  # ends streaming, and gives the buffers back
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         """A damaged frame is skipped: the next one's FrameSequence shows it missing."""
         end = time.monotonic() + self._timeout_s
         while True:

@@ -150,7 +150,7 @@ class Count:
             self.ahead = self._candidate
 
 
-class Pictures:
+class RecentPictures:
     """Those lately shown. Dark ones too: one may stand below in a torn picture, but two may be alike by chance."""
 
     def __init__(self) -> None:

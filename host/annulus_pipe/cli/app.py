@@ -14,7 +14,7 @@ from annulus_pipe.cli import archive, calibrate, doctor, firmware, head, pattern
 from annulus_pipe.cli import console as console_page
 from annulus_pipe.cli.export import export
 from annulus_pipe.cli.manual import docs
-from annulus_pipe.cli.pdf import Sheet, on_paper
+from annulus_pipe.cli.pdf import PaperSize, on_paper
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus_pipe.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
 from annulus_pipe.cli.reprocess import reprocess
@@ -23,10 +23,10 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
+from annulus_pipe.hooks import merged, opened
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged, opened
 
 if TYPE_CHECKING:
     from annulus_pipe.wall.conformity import Criteria
@@ -145,7 +145,7 @@ def reconstruct(
         Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
-    paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
+    paper: Annotated[PaperSize, typer.Option(help="Of report.pdf.")] = PaperSize.A4,
     show_as: Annotated[
         Bars,
         typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
@@ -157,13 +157,13 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
-    from annulus_pipe.cli.results import Told, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.job import job_of
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess import Processes, look_at, make_ready, open_job, surveyed
     from annulus_pipe.scans.origin import origin_of
-    from annulus_pipe.storage.place import Place
+    from annulus_pipe.storage.place import StoragePath
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
@@ -181,8 +181,8 @@ def reconstruct(
             "limits": limits,
         }
         refuse(wing[0], given)
-        account = Told(str(scan), origin_of(wing[0].scan, calibration, sheet), criteria)
-        results = measured_by(wing, Place(out.absolute()), account, Processes(workers), show_as, paper=printed)
+        account = ReportContext(str(scan), origin_of(wing[0].scan, calibration, sheet), criteria)
+        results = measured_by(wing, StoragePath(out.absolute()), account, Processes(workers), show_as, paper=printed)
         if as_json:
             print(json.dumps(results.summary))
         elif results.lines is None:
@@ -196,7 +196,7 @@ def reconstruct(
     prepare_folder(out)
     make_ready(work.calibration, tell)
     with progress(show_as) as bars:
-        place, beside = Place(out.absolute()), Told(str(scan), origin, criteria)
+        place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria)
         done = surveyed(
             work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
         )

@@ -19,8 +19,8 @@ from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.archive.catalogue import Added
-    from annulus_pipe.archive.catalogue.pieces import Damage
-    from annulus_pipe.archive.catalogue.query import Answer
+    from annulus_pipe.archive.catalogue.pieces import DamagedFile
+    from annulus_pipe.archive.catalogue.query import QueryResult
 
 app = group("Surveys of many pipes over the years: a catalogue of them, and questions to it.")
 app.command(epilog=COMPARE_EXAMPLE)(compare)
@@ -216,7 +216,7 @@ def _named(name: str, show: bool) -> str | None:
     return question.sql
 
 
-def _print_json(answer: "Answer") -> None:
+def _print_json(answer: "QueryResult") -> None:
     """A list of objects, a row a line."""
     print("[", end="")
     for i, row in enumerate(answer.rows()):
@@ -225,7 +225,7 @@ def _print_json(answer: "Answer") -> None:
     print("\n]")
 
 
-def _print_csv(answer: "Answer") -> None:
+def _print_csv(answer: "QueryResult") -> None:
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(answer.columns)
     for row in answer.rows():
@@ -240,7 +240,7 @@ def _cell(value: Any) -> Any:
     return json.dumps(plain) if isinstance(plain, dict | list) else plain
 
 
-def _print_table(answer: "Answer") -> None:
+def _print_table(answer: "QueryResult") -> None:
     rows, more = list[list[str]](), False
     for row in answer.rows():
         if len(rows) == ROWS_MAX:
@@ -251,7 +251,7 @@ def _print_table(answer: "Answer") -> None:
     print(f"the first {ROWS_MAX} rows; --csv prints all" if more else f"{len(rows)} row{'s' * (len(rows) != 1)}")
 
 
-def _write_parquet(answer: "Answer", path: Path) -> None:
+def _write_parquet(answer: "QueryResult", path: Path) -> None:
     from annulus_pipe.extras import need
     from annulus_pipe.storage.whole import written_whole
 
@@ -310,11 +310,11 @@ def _day(text: str | None) -> date | None:
         raise AnnulusError(f"--since {text}: expected a day, YYYY-MM-DD") from None
 
 
-def _damaged(damage: "Sequence[Damage]") -> list[str]:
+def _damaged(damage: "Sequence[DamagedFile]") -> list[str]:
     return [f"{one.path}: {one.why}" for one in damage]
 
 
-def _tell_damage(damage: "Sequence[Damage]") -> None:
+def _tell_damage(damage: "Sequence[DamagedFile]") -> None:
     for one in damage:
         then = "its rows are missing: add the results again" if one.lost else "the surveys' own files are read instead"
         tell(f"annulus: {one.path}: damaged ({one.why}); {then}")

@@ -9,8 +9,8 @@ import numpy as np
 import typer
 
 from annulus_pipe.cli.show import Json, group
+from annulus_pipe.hooks import merged
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged
 
 app = group("The projector's pattern.")
 
@@ -95,7 +95,7 @@ def design(
         )
     from annulus_pipe.calibrate.slide import write_design
     from annulus_pipe.geometry.camera import Camera
-    from annulus_pipe.rings.pattern import Head, stripe_colours
+    from annulus_pipe.rings.pattern import PatternHead, stripe_colours
     from annulus_pipe.rings.pattern import design as lay_out
     from annulus_pipe.storage.calibration_file import load_camera
 
@@ -117,7 +117,7 @@ def design(
     if rings is not None and stripes is not None:
         raise AnnulusError("--rings and --stripes say the same: give one")
     count = rings + 1 if rings is not None else stripes
-    planned = Head(lens, least, most, nominal_mm or (least + most) / 2, distance_mm, sensor_radius_mm, glass_mm)
+    planned = PatternHead(lens, least, most, nominal_mm or (least + most) / 2, distance_mm, sensor_radius_mm, glass_mm)
     pattern = lay_out(
         planned,
         stripe_colours(colours, word, count),

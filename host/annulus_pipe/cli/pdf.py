@@ -7,12 +7,12 @@ if TYPE_CHECKING:
     from annulus_pipe.report import Paper
 
 
-class Sheet(StrEnum):
+class PaperSize(StrEnum):
     A4 = "A4"
     LETTER = "letter"
 
 
-def on_paper(wanted: bool, paper: Sheet) -> "Paper | None":
+def on_paper(wanted: bool, paper: PaperSize) -> "Paper | None":
     """The paper of a PDF where one is wanted. Asks for what makes it before the work begins: AnnulusError, one line."""
     if not wanted:
         return None

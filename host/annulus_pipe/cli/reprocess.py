@@ -12,19 +12,19 @@ import typer
 
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus_pipe.cli.show import Bars, Json, progress, tell
+from annulus_pipe.hooks import opened
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import opened
 
 if TYPE_CHECKING:
     from annulus_pipe.reprocess import Executor
-    from annulus_pipe.storage.place import Place
+    from annulus_pipe.storage.place import StoragePath
     from annulus_pipe.wall.reference import ReferenceSection
 
 EXAMPLE = "Example: annulus reprocess scans/*.mcap -o season --workers 4"
 NAME_MAX = 200  # characters of a folder's name
 
 
-class Engine(StrEnum):
+class EngineChoice(StrEnum):
     LOCAL = "local"
     DASK = "dask"
 
@@ -43,8 +43,8 @@ def reprocess(
     scans: Annotated[list[str], typer.Argument(metavar="SCANS..", help="Scan folders or recordings, or URLs of them.")],
     out: Annotated[str, typer.Option("--out", "-o", metavar="PLACE", help="Folder or URL; a folder in it a scan.")],
     engine: Annotated[
-        Engine, typer.Option(help="local: processes of this machine. dask: workers of the scheduler named.")
-    ] = Engine.LOCAL,
+        EngineChoice, typer.Option(help="local: processes of this machine. dask: workers of the scheduler named.")
+    ] = EngineChoice.LOCAL,
     scheduler: Annotated[
         str | None, typer.Option(metavar="URL", help="tcp://127.0.0.1:8786, or tls://host:8786 with the three files.")
     ] = None,
@@ -117,23 +117,28 @@ def folders(scans: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def _place(out: str) -> "Place":
+def _place(out: str) -> "StoragePath":
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.storage.place import Place
+    from annulus_pipe.storage.place import StoragePath
 
-    place = Place(out)
+    place = StoragePath(out)
     if place.local is None:
         return place
     prepare_folder(place.local)
-    return Place(place.local.absolute())  # workers have another folder to begin at
+    return StoragePath(place.local.absolute())  # workers have another folder to begin at
 
 
 def _executor(
-    engine: Engine, scheduler: str | None, workers: int | None, ca: Path | None, cert: Path | None, key: Path | None
+    engine: EngineChoice,
+    scheduler: str | None,
+    workers: int | None,
+    ca: Path | None,
+    cert: Path | None,
+    key: Path | None,
 ) -> "Executor":
     from annulus_pipe.reprocess import Processes
 
-    if engine is Engine.LOCAL:
+    if engine is EngineChoice.LOCAL:
         for option, value in (("--scheduler", scheduler), ("--tls-ca", ca), ("--tls-cert", cert), ("--tls-key", key)):
             if value is not None:
                 raise AnnulusError(f"{option} goes with --engine dask")
@@ -154,7 +159,7 @@ def _executor(
     return Dask(scheduler, Tls(*files) if files else None, say=tell)
 
 
-def _one(scan: str, place: "Place", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
+def _one(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
     row: dict[str, Any] = {
         "scan": scan,
         "ok": False,
@@ -171,8 +176,8 @@ def _one(scan: str, place: "Place", executor: "Executor", given: _With, bars: An
     return row
 
 
-def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
-    from annulus_pipe.cli.results import Told, WindowFiles, measured_by, refuse, write_results
+def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
+    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess import look_at, make_ready, open_job, surveyed
     from annulus_pipe.scans.origin import origin_of
@@ -182,7 +187,7 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     wing = opened(path, given.calibration)
     if wing is not None:
         refuse(wing[0], {"colour": given.colour, "reference": given.reference or given.sections})
-        account = Told(scan, origin_of(wing[0].scan, given.calibration))
+        account = ReportContext(scan, origin_of(wing[0].scan, given.calibration))
         results = measured_by(wing, place, account, executor, bars, keep=True)
         made = {"ranges": results.ranges, "made": results.made, "left_out": 0}
         return {"ok": True, "results": str(place), "why": None, **made}
@@ -192,7 +197,7 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     make_ready(work.calibration, tell)
     if place.local is not None:
         prepare_folder(place.local)
-    about = Told(scan, origin)
+    about = ReportContext(scan, origin)
     done = surveyed(work, place, executor, WindowFiles(about, place), bars, keep=True)
     write_results(done, about, place)
     return {

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from annulus_pipe import wings
+from annulus_pipe import hooks
 from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
-from annulus_pipe.report import Account, keep_windows, prepare_folder, write, write_whole, write_window
+from annulus_pipe.report import ScanAccount, keep_windows, prepare_folder, write, write_whole, write_window
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess import Job, photographs
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.joined import Joined
@@ -31,19 +31,19 @@ ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for anoth
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ReportContext:
     """What a report is told beside the survey. source : what was scanned, for people. limits : of a verdict."""
 
     source: str
     origin: Origin
     limits: Criteria | None = None
 
-    def account(self, job: Job, survey: Survey, **counted: Any) -> Account:
-        """counted : the fields of Account that come from the scan: frames, drops, timing, findings."""
+    def account(self, job: Job, survey: Survey, **counted: Any) -> ScanAccount:
+        """counted : the fields of ScanAccount that come from the scan: frames, drops, timing, findings."""
         verdict = None if self.limits is None else judge(survey, self.limits)
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
-        return Account(
+        return ScanAccount(
             self.source,
             origin=self.origin,
             verdict=verdict,
@@ -52,7 +52,7 @@ class Told:
             **counted,
         )
 
-    def within(self, first_mm: float, last_mm: float) -> "Told":
+    def within(self, first_mm: float, last_mm: float) -> "ReportContext":
         """The same of a stretch: what an operator marked elsewhere is left out."""
         marked = tuple(one for one in self.origin.observations if first_mm <= one.z_mm < last_mm)
         return replace(self, origin=replace(self.origin, observations=marked))
@@ -62,8 +62,8 @@ class Told:
 class WindowFiles:
     """Writes windows' results below a place, wherever the worker is."""
 
-    about: Told
-    place: Place
+    about: ReportContext
+    place: StoragePath
 
     def __call__(self, number: int, survey: Survey, job: Job) -> dict[str, str]:
         first, last, *_ = survey.wall.extent
@@ -78,7 +78,7 @@ class WindowFiles:
         with tempfile.TemporaryDirectory(prefix="annulus-") as made:
             write_window(survey, account, Path(made), number)
             self.place.write_folder(Path(made), last=SUMMARY)
-            return replace(self, place=Place(made)).digests(number)
+            return replace(self, place=StoragePath(made)).digests(number)
 
     def made_from(self) -> str:
         return repr(self.about)
@@ -99,7 +99,7 @@ def _folder(number: int) -> str:
     return window_folder(Path(), number).as_posix()
 
 
-def refuse(job: wings.Job, given: Mapping[str, Any]) -> None:
+def refuse(job: hooks.WingJob, given: Mapping[str, Any]) -> None:
     """AnnulusError where an option that was given does not go with a wing's scan. given : by its name in `refuses`."""
     for name, why in job.refuses.items():
         if given.get(name):
@@ -107,15 +107,15 @@ def refuse(job: wings.Job, given: Mapping[str, Any]) -> None:
 
 
 def measured_by(
-    wing: tuple[wings.Job, Callable[..., wings.Results]],
-    place: Place,
-    account: Told,
+    wing: tuple[hooks.WingJob, Callable[..., hooks.WingResults]],
+    place: StoragePath,
+    account: ReportContext,
     executor: "Executor",
     bars: Any,
     *,
     paper: "Paper | None" = None,
     keep: bool = False,
-) -> wings.Results:
+) -> hooks.WingResults:
     """All result files of a wing's scan. bars : as `show.progress` takes it, or what it gives. keep : windows stay, so
     that the same command again goes on from there."""
     job, measure = wing
@@ -130,7 +130,9 @@ def measured_by(
             return results
 
 
-def write_results(done: "Surveyed", about: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
+def write_results(
+    done: "Surveyed", about: ReportContext, place: StoragePath, paper: "Paper | None" = None
+) -> dict[str, Any]:
     """All result files of a scan; of its windows there are some already. Returns what summary.json says."""
     if place.local is not None:
         return _written(done, about, place.local, paper)
@@ -150,7 +152,7 @@ def write_results(done: "Surveyed", about: Told, place: Place, paper: "Paper | N
     return summary
 
 
-def _written(done: "Surveyed", about: Told, out: Path, paper: "Paper | None") -> dict[str, Any]:
+def _written(done: "Surveyed", about: ReportContext, out: Path, paper: "Paper | None") -> dict[str, Any]:
     account = about.account(
         done.job, done.survey, frames=done.frames, drops=done.drops, timing_ms=done.timing_ms, findings=done.findings
     )

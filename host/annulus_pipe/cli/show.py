@@ -79,7 +79,7 @@ def _lines() -> Callable[[str, int, int], None]:
     return report
 
 
-class Found(Protocol):
+class CheckedRow(Protocol):
     """A row of what was looked at; `ok` None: there is nothing to be right or wrong."""
 
     @property
@@ -90,7 +90,7 @@ class Found(Protocol):
     def text(self) -> str: ...
 
 
-def print_findings(found: Sequence[Found], as_json: bool) -> None:
+def print_findings(found: Sequence[CheckedRow], as_json: bool) -> None:
     """Rows as a table, or as JSON. Status 1 where one is wrong."""
     if as_json:
         print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))

@@ -74,7 +74,7 @@ class Rates:
 
 
 @dataclass(slots=True)
-class Session:
+class BrowserSession:
     """One browser. `id` is what others may know of it, `cookie` and `token` are its own; `lease`, by which the daemon
     knows who commands, is told to nobody but the daemon.
     """
@@ -112,10 +112,10 @@ class Sessions:
 
     def __init__(self, needs_login: bool) -> None:
         self.needs_login = needs_login
-        self.in_use: Callable[[Session], bool] = lambda session: False
-        self._known: OrderedDict[str, Session] = OrderedDict()  # by cookie, used last at the end
+        self.in_use: Callable[[BrowserSession], bool] = lambda session: False
+        self._known: OrderedDict[str, BrowserSession] = OrderedDict()  # by cookie, used last at the end
 
-    def of(self, cookie: str | None, now_s: float) -> Session | None:
+    def of(self, cookie: str | None, now_s: float) -> BrowserSession | None:
         session = self._known.get(cookie or "")
         if session is None:
             return None
@@ -126,7 +126,7 @@ class Sessions:
         self._known.move_to_end(session.cookie)
         return session
 
-    def begin(self, now_s: float, *, allowed: bool | None = None, name: str = "") -> Session:
+    def begin(self, now_s: float, *, allowed: bool | None = None, name: str = "") -> BrowserSession:
         if len(self._known) >= SESSIONS_MAX:
             for old in list(self._known.values()):
                 if not self.in_use(old):
@@ -134,18 +134,18 @@ class Sessions:
                     break
             else:
                 raise AnnulusError(f"{SESSIONS_MAX} browsers are connected, expected fewer")
-        session = Session(not self.needs_login if allowed is None else allowed, now_s, name)
+        session = BrowserSession(not self.needs_login if allowed is None else allowed, now_s, name)
         self._known[session.cookie] = session
         return session
 
-    def end(self, session: Session) -> None:
+    def end(self, session: BrowserSession) -> None:
         self._known.pop(session.cookie, None)
 
     def __len__(self) -> int:
         return len(self._known)
 
 
-class Places:
+class RequestOrigins:
     """From where a request may come: names by which this console is reached. Another site's page that has its name
     resolved to this machine (DNS rebinding) brings that name along as Host, and is none of them; one of another origin
     says so as Origin.

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
-from annulus_pipe.console.access import GETS, NAME_MAX, POSTS, Places, Rates, Session, Sessions
+from annulus_pipe.console.access import GETS, NAME_MAX, POSTS, BrowserSession, Rates, RequestOrigins, Sessions
 from annulus_pipe.console.answers import ASKED_MAX, Refusal, refused
 
 Message = MutableMapping[str, Any]
@@ -39,7 +39,7 @@ HEADERS = (
 class Gate:
     """ASGI, in front of an application. `scope["state"]["session"]` is whose request it is, where somebody's."""
 
-    def __init__(self, app: Any, places: Places, sessions: Sessions, cookie: str) -> None:
+    def __init__(self, app: Any, places: RequestOrigins, sessions: Sessions, cookie: str) -> None:
         self._app, self._places, self._sessions, self._cookie = app, places, sessions, cookie
         self._gets, self._posts = Rates(GETS), Rates(POSTS)
 
@@ -59,7 +59,7 @@ class Gate:
             return
         await self._app(scope, receive, send)
 
-    def _admit(self, scope: Message) -> Session | None:
+    def _admit(self, scope: Message) -> BrowserSession | None:
         """Raises Refusal."""
         now = time.monotonic()
         kind, path = scope["type"], scope["path"]

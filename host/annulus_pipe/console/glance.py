@@ -57,7 +57,7 @@ class Glance:
 
 
 @dataclass(frozen=True, slots=True)
-class _File:
+class _ScanFile:
     """One file of a scan."""
 
     size: int
@@ -103,12 +103,12 @@ def glance(first: Path) -> Glance:
     )
 
 
-def _look(path: Path) -> _File:
+def _look(path: Path) -> _ScanFile:
     with opened(path) as (file, status):
         return _seen(file, status.st_size, status.st_mtime)
 
 
-def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
+def _seen(file: IO[bytes], size: int, changed_s: float) -> _ScanFile:
     wanted = (PART_FILE, CLOCK_FILE, CALIBRATION_FILE, CONFIGURATION_FILE)
     head = Walk(file, min(size, HEAD), wanted)
     index = _index(file, size)
@@ -131,7 +131,7 @@ def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
     configuration, calibration = (_attached(head, name) for name in (CONFIGURATION_FILE, CALIBRATION_FILE))
     who = _last(tail, channels, IDENTITY) or _last(head, channels, IDENTITY)
     job = _last(tail, channels, JOB_TOPIC) or _last(head, channels, JOB_TOPIC)
-    return _File(
+    return _ScanFile(
         size,
         changed_s,
         index is not None,
@@ -208,7 +208,7 @@ def _section(data: Mapping[str, Any] | None, name: str) -> Mapping[str, Any]:
     return section if isinstance(section, dict) else {}
 
 
-def _utc(one: _File, which: int) -> datetime | None:
+def _utc(one: _ScanFile, which: int) -> datetime | None:
     """Of the first or last message; None of recordings whose messages have no time of day."""
     assert one.times_ns is not None
     if one.clock is None:

@@ -15,7 +15,7 @@ import zmq
 
 from annulus_pipe import untrusted
 from annulus_pipe.console import wire
-from annulus_pipe.console.access import Password, Places, Session, Sessions
+from annulus_pipe.console.access import BrowserSession, Password, RequestOrigins, Sessions
 from annulus_pipe.console.answers import Refusal
 from annulus_pipe.console.commands import RENEW_S, Commands, Lease
 from annulus_pipe.console.feed import LOST_S, Feed
@@ -71,7 +71,7 @@ class Program:
         self.live = Live(self.feed, self.hub)
         self.commands = Commands(self._context, daemon.control, daemon.control_keys)
         self.lease = Lease(self.commands, self.answers)
-        self.places = Places(door.host, door.tls_cert is not None, door.names)
+        self.places = RequestOrigins(door.host, door.tls_cert is not None, door.names)
         self.sessions = Sessions(door.password is not None)
         self.sessions.in_use = lambda session: any(viewer.session == session.id for viewer in self.hub.viewers)
         self.cookie = f"{'__Host-' if door.tls_cert else ''}annulus-{door.port}"
@@ -88,7 +88,7 @@ class Program:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    async def do(self, asked: Mapping[str, Any], session: Session) -> Mapping[str, Any]:
+    async def do(self, asked: Mapping[str, Any], session: BrowserSession) -> Mapping[str, Any]:
         """A request of the control socket in this session's name. Raises Refusal."""
         who = self.who(session)
         answer = await self.commands.ask({**asked, "who": who})
@@ -109,7 +109,7 @@ class Program:
         self.hub.on_wants = lambda wanted: wants(wanted | foxglove.wants)
 
     @staticmethod
-    def who(session: Session) -> dict[str, str]:
+    def who(session: BrowserSession) -> dict[str, str]:
         """As the daemon is told who asks."""
         identity = {"id": session.lease, "name": session.name or f"browser {session.id[:4]}"}
         return {**identity, "from": session.address} if session.address else identity

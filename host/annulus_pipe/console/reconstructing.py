@@ -37,7 +37,7 @@ _RUN = (
 
 
 @dataclass(slots=True, eq=False)
-class Job:
+class ConsoleJob:
     """One reconstruction. `state`: waiting, running, done, failed, cancelled."""
 
     id: str
@@ -82,7 +82,7 @@ class Reconstructing:
         """command : in place of annulus itself; what it is to do comes after."""
         self._tell = tell
         self._command = command or (sys.executable, "-c", _RUN.format(nice=NICE, parent=os.getpid()))
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[ConsoleJob] = deque()
         self._count = 0
         self._told_s = 0.0
         self._wake = asyncio.Event()
@@ -90,12 +90,12 @@ class Reconstructing:
     def jobs(self) -> list[dict[str, Any]]:
         return [job.to_dict() for job in self._jobs]
 
-    def ask(self, scan: Path, calibration: Path | None) -> Job:
+    def ask(self, scan: Path, calibration: Path | None) -> ConsoleJob:
         """Raises AnnulusError when too many wait."""
         if sum(job.state == "waiting" for job in self._jobs) >= WAITING_MAX:
             raise AnnulusError(f"{WAITING_MAX} reconstructions wait, expected fewer: cancel one or let them end")
         self._count += 1
-        job = Job(f"r{self._count}", scan, calibration)
+        job = ConsoleJob(f"r{self._count}", scan, calibration)
         self._jobs.append(job)
         while len(self._jobs) > ENDED_MAX and self._jobs[0].ended_s is not None:
             self._jobs.popleft()
@@ -127,7 +127,7 @@ class Reconstructing:
             except OSError as error:
                 self._end(job, "failed", f"{job.scan.name}: {error.strerror}")
 
-    async def _reconstruct(self, job: Job) -> None:
+    async def _reconstruct(self, job: ConsoleJob) -> None:
         _sweep(job.scan)
         partial = job.scan.parent / f".{_stem(job.scan)}.{os.getpid()}.part"
         arguments = ["reconstruct", str(job.scan), "-o", str(partial), "--progress", "json"]
@@ -156,7 +156,7 @@ class Reconstructing:
         finally:
             await asyncio.to_thread(shutil.rmtree, partial, ignore_errors=True)
 
-    async def _follow(self, job: Job, child: asyncio.subprocess.Process) -> tuple[str, int | None]:
+    async def _follow(self, job: ConsoleJob, child: asyncio.subprocess.Process) -> tuple[str, int | None]:
         """What it said last that is no progress, and how it ended; None where it was given up first."""
         ended = asyncio.create_task(self._hear(job, child))
         given_up = asyncio.create_task(job.cancelled.wait())
@@ -167,7 +167,7 @@ class Reconstructing:
             ended.cancel()
             given_up.cancel()
 
-    async def _hear(self, job: Job, child: asyncio.subprocess.Process) -> str:
+    async def _hear(self, job: ConsoleJob, child: asyncio.subprocess.Process) -> str:
         assert child.stderr is not None
         last, rest = "", b""
         while data := await child.stderr.read(LINE_MAX):
@@ -177,7 +177,7 @@ class Reconstructing:
                 last = self._heard(job, line) or last
         return (self._heard(job, rest) or last).removeprefix("annulus: ")
 
-    def _heard(self, job: Job, line: bytes) -> str:
+    def _heard(self, job: ConsoleJob, line: bytes) -> str:
         """The line, where it is not of progress."""
         try:
             progress = untrusted.mapping(untrusted.parse_json(line, LINE_MAX), "progress")
@@ -195,7 +195,7 @@ class Reconstructing:
         self._say()
         return ""
 
-    def _end(self, job: Job, state: str, error: str = "") -> None:
+    def _end(self, job: ConsoleJob, state: str, error: str = "") -> None:
         job.state, job.error, job.ended_s = state, error, time.monotonic()
         self._say(now=True)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SHOWN = ("report.html", "unwrapped.png", "texture.png", "height.png", "sigma.png")  # others are saved
 
 
-class Hub(Protocol):
+class TopicHub(Protocol):
     def tell(self, topic: str, body: Any) -> None: ...
 
 
@@ -27,7 +27,7 @@ class Host(Protocol):
     """What is needed of the program."""
 
     @property
-    def hub(self) -> Hub: ...
+    def hub(self) -> TopicHub: ...
 
     @property
     def surveys(self) -> Sequence[Path]: ...

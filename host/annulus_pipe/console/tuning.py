@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
-from annulus_pipe.console.access import Session
+from annulus_pipe.console.access import BrowserSession
 from annulus_pipe.console.answers import Refusal, accepted, asked_for
 from annulus_pipe.console.program import Program
 from annulus_pipe.daemon.command import Operator
@@ -44,14 +44,14 @@ class Tuning:
             raise AnnulusError("nothing is being tuned that could be cancelled")
         self._cancelled.set()
 
-    def begin(self, lamp: str, session: Session) -> None:
+    def begin(self, lamp: str, session: BrowserSession) -> None:
         if self.is_running:
             raise AnnulusError("a lamp is being tuned, expected its end or a cancel first")
         self._cancelled = threading.Event()
         self._tell(state="running", lamp=lamp, what="", done=0, total=1, proposed={}, remarks=[], error="")
         self._program.spawn(self._run(lamp, session, self._cancelled))
 
-    async def _run(self, lamp: str, session: Session, cancelled: threading.Event) -> None:
+    async def _run(self, lamp: str, session: BrowserSession, cancelled: threading.Event) -> None:
         from annulus_pipe.daemon.tuning import Cancelled
 
         loop = asyncio.get_running_loop()
@@ -76,13 +76,13 @@ class Tuning:
             watching.cancel()
             self._program.look()
 
-    async def _watch(self, session: Session, cancelled: threading.Event) -> None:
+    async def _watch(self, session: BrowserSession, cancelled: threading.Event) -> None:
         """Lamps do not stay on for a page that is gone."""
         while self._program.answers(session.id):
             await asyncio.sleep(TELL_S)
         cancelled.set()
 
-    def _tune(self, lamp: str, session: Session, progress: Any, cancelled: threading.Event) -> Any:
+    def _tune(self, lamp: str, session: BrowserSession, progress: Any, cancelled: threading.Event) -> Any:
         from annulus_pipe.daemon.tuning import tune
 
         daemon = self._program.daemon
@@ -113,7 +113,7 @@ def routes(program: Program) -> list[Any]:
 
     async def begin(request: "Request") -> "Response":
         asked: Mapping[str, Any] = await asked_for(request)
-        mine: Session = request.state.session
+        mine: BrowserSession = request.state.session
         lamp = asked.get("lamp")
         if lamp not in LAMPS:
             raise Refusal(400, f"lamp is {untrusted.shown(lamp)}, expected one of {', '.join(LAMPS)}")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
-from annulus_pipe.console.access import Bucket, Session
+from annulus_pipe.console.access import BrowserSession, Bucket
 from annulus_pipe.console.answers import refused
 from annulus_pipe.console.hub import STATUS, WANTS, Viewer
 from annulus_pipe.console.program import Program
@@ -23,7 +23,7 @@ SAID_RATE = (10.0, 30.0)  # a second, and at once
 
 async def view(websocket: "WebSocket", program: Program) -> None:
     """One viewer, from its coming to its going."""
-    session: Session | None = websocket.scope["state"]["session"]
+    session: BrowserSession | None = websocket.scope["state"]["session"]
     mine = "" if session is None else session.id
     others = [viewer for viewer in program.hub.viewers if viewer.session == mine]
     if len(program.hub.viewers) >= VIEWERS_MAX or len(others) >= OF_ONE_MAX:

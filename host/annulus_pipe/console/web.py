@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import untrusted
 from annulus_pipe.console import bench, surveys, tuning
-from annulus_pipe.console.access import CONFIRM_S, LOGINS, LOGINS_OF_ALL, PASSWORD_MAX, Bucket, Rates, Session, named
+from annulus_pipe.console.access import (
+    CONFIRM_S,
+    LOGINS,
+    LOGINS_OF_ALL,
+    PASSWORD_MAX,
+    BrowserSession,
+    Bucket,
+    Rates,
+    named,
+)
 from annulus_pipe.console.answers import Refusal, accepted, asked_for, refused
 from annulus_pipe.console.commands import LIT
 from annulus_pipe.console.gate import Gate
@@ -53,7 +62,7 @@ class Pages:
         from starlette.routing import Mount, Route, WebSocketRoute
         from starlette.staticfiles import StaticFiles
 
-        class Files(StaticFiles):
+        class PageFiles(StaticFiles):
             async def get_response(self, path: str, scope: Any) -> Response:
                 answer = await super().get_response(path, scope)
                 answer.headers["Cache-Control"] = "no-cache"  # the page is of this program, not of the last one
@@ -72,7 +81,7 @@ class Pages:
             Route("/api/frame/{camera:int}/{index:int}", self.frame),
             *(route for part in PARTS for route in part(self._program)),
             WebSocketRoute("/ws", self.viewing),
-            Mount("/static", Files(directory=self._program.static)),
+            Mount("/static", PageFiles(directory=self._program.static)),
         ]
 
     @contextlib.asynccontextmanager
@@ -97,7 +106,7 @@ class Pages:
         return Response(status_code=204)
 
     async def session(self, request: "Request") -> "Response":
-        mine: Session | None = request.state.session
+        mine: BrowserSession | None = request.state.session
         fresh = mine is None
         if mine is None:
             mine = self._program.sessions.begin(time.monotonic())
@@ -105,7 +114,7 @@ class Pages:
 
     async def login(self, request: "Request") -> "Response":
         asked = await asked_for(request)
-        old: Session = request.state.session
+        old: BrowserSession = request.state.session
         try:
             name = named(asked.get("name", ""))
             word = untrusted.text(asked.get("password", ""), "password", PASSWORD_MAX)
@@ -126,7 +135,7 @@ class Pages:
         return self._with_cookie(self._session_answer(mine), mine)
 
     async def logout(self, request: "Request") -> "Response":
-        mine: Session = request.state.session
+        mine: BrowserSession = request.state.session
         if self._program.lease.holder == mine.id:
             with contextlib.suppress(Refusal):
                 await self._program.do({"do": "release"}, mine)
@@ -135,12 +144,12 @@ class Pages:
         return accepted()
 
     async def arm(self, request: "Request") -> "Response":
-        mine: Session = request.state.session
+        mine: BrowserSession = request.state.session
         return accepted(confirm=mine.arm(time.monotonic()), expires_s=CONFIRM_S)
 
     async def do(self, request: "Request") -> "Response":
         asked = dict(await asked_for(request))
-        mine: Session = request.state.session
+        mine: BrowserSession = request.state.session
         asked.pop("who", None)
         word = asked.pop("confirm", None)
         if not isinstance(asked.get("do"), str):
@@ -184,7 +193,7 @@ class Pages:
     async def viewing(self, websocket: "WebSocket") -> None:
         await view(websocket, self._program)
 
-    def _session_answer(self, mine: Session) -> "Response":
+    def _session_answer(self, mine: BrowserSession) -> "Response":
         who: dict[str, Any] = {"token": mine.token, "name": mine.name, "id": mine.id}
         return accepted(
             **who,
@@ -194,7 +203,7 @@ class Pages:
             demo=self._program.demo,
         )
 
-    def _with_cookie(self, answer: "Response", mine: Session) -> "Response":
+    def _with_cookie(self, answer: "Response", mine: BrowserSession) -> "Response":
         tls = self._program.door.tls_cert is not None
         answer.set_cookie(self._program.cookie, mine.cookie, path="/", secure=tls, httponly=True, samesite="strict")
         return answer

@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from annulus_pipe.daemon.ledger import AFTER, BEFORE, UNTAKEN, Finding, Ledger, findings
+from annulus_pipe.daemon.ledger import AFTER, BEFORE, UNTAKEN, ExitReason, Ledger, findings
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.vocabulary import Label
 
@@ -77,7 +77,7 @@ class ScanReport:
     telemetry: Mapping[str, Any]  # the last one
     events: tuple[str, ...]  # the last ones, for people
     ledger: Ledger
-    findings: tuple[Finding, ...]  # why it did not end well; empty when it did
+    findings: tuple[ExitReason, ...]  # why it did not end well; empty when it did
 
 
 class Account:

@@ -37,7 +37,7 @@ from typing import Any
 import cv2
 import msgpack
 
-from annulus_pipe.capture.camera import Camera, CapturedFrame, EndOfFrames, grab
+from annulus_pipe.capture.camera import CameraDriver, CapturedFrame, EndOfFrames, grab
 from annulus_pipe.capture.photometry import GREEN_FIRST, measure
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.daemon.camera_config import FILES, CameraConfig
@@ -45,7 +45,7 @@ from annulus_pipe.daemon.camera_state import CameraEvent, CameraState, CameraWat
 from annulus_pipe.daemon.cameras import apply_controls, open_camera
 from annulus_pipe.daemon.priority import raise_priority
 from annulus_pipe.stream.orphan import end_with_parent
-from annulus_pipe.stream.ring import Place, RingWriter
+from annulus_pipe.stream.ring import RingSlot, RingWriter
 from annulus_pipe.stream.working import keep_freed_memory, leave_uncollected
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -61,8 +61,8 @@ class Source:
     """A camera that can be opened again and again."""
 
     config: CameraConfig
-    open: Callable[[], Camera]
-    give_back: Callable[[Camera], None]  # what `open` gave, stopped
+    open: Callable[[], CameraDriver]
+    give_back: Callable[[CameraDriver], None]  # what `open` gave, stopped
 
     @property
     def live(self) -> bool:
@@ -75,7 +75,7 @@ def configured(config: CameraConfig, number: int) -> Source:
     return Source(config, lambda: open_camera(config, number), lambda camera: camera.close())
 
 
-def handed_in(config: CameraConfig, camera: Camera) -> Source:
+def handed_in(config: CameraConfig, camera: CameraDriver) -> Source:
     """A camera that the caller made, and closes."""
     return Source(config, lambda: camera, lambda camera: None)
 
@@ -88,9 +88,9 @@ class IntakeLoop:
         period_s = source.config.timing.period_us / 1e6
         self._silent_s = max(SILENT_S, SILENT_PERIODS * period_s)
         self._watch = CameraWatch()
-        self._camera: Camera | None = None
+        self._camera: CameraDriver | None = None
         self._ring: RingWriter | None = None
-        self._slots: deque[Place] = deque()
+        self._slots: deque[RingSlot] = deque()
         self._wanted = False
         self._due_s = 0.0  # when the next frame is overdue
         self._since_ns = 0
@@ -138,7 +138,7 @@ class IntakeLoop:
                     self._ring = RingWriter(rights[0], body[0])
                     os.close(rights[0])
                 case "slots":
-                    self._slots.extend(Place(*one) for one in body)
+                    self._slots.extend(RingSlot(*one) for one in body)
                 case "stream" if not self._wanted:
                     self._wanted = True
                     self._happened(CameraEvent.OPEN)
@@ -163,7 +163,7 @@ class IntakeLoop:
             return
         self._say("is", camera.width, camera.height, camera.encoding)
 
-    def _open(self) -> Camera:
+    def _open(self) -> CameraDriver:
         if self._camera is None:
             self._camera = self._source.open()
         return self._camera
@@ -255,7 +255,7 @@ class IntakeLoop:
         self._rest()
 
 
-def _packet(frame: CapturedFrame, place: Place | None) -> list[Any]:
+def _packet(frame: CapturedFrame, place: RingSlot | None) -> list[Any]:
     picture = asdict(measure(frame.image, green_first=frame.encoding in GREEN_FIRST))
     where = [None, 0] if place is None else [place.slot, place.stamp]
     return [*where, frame.sequence, frame.timestamp_ns, frame.arrived_ns, picture, _plain(frame.metadata)]

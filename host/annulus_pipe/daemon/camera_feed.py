@@ -28,7 +28,7 @@ from typing import Any
 
 import msgpack
 
-from annulus_pipe.capture.camera import Camera
+from annulus_pipe.capture.camera import CameraDriver
 from annulus_pipe.capture.photometry import Light, Photometry
 from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.camera import PACKET_MAX, IntakeLoop, handed_in
@@ -36,7 +36,7 @@ from annulus_pipe.daemon.camera_config import CameraConfig
 from annulus_pipe.daemon.camera_state import BackOff, CameraState
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.stream.orphan import child
-from annulus_pipe.stream.ring import FrameRing, Place
+from annulus_pipe.stream.ring import FrameRing, RingSlot
 from annulus_pipe.stream.workers import cannot_start, how_it_ended, process_state
 from annulus_pipe.vocabulary import AnnulusError, CameraSequence
 
@@ -56,7 +56,7 @@ SEND_BYTES = 1 << 20  # of packets that wait for us, if the system lets them
 class Arrived:
     """A frame, in its slot and held once; or without one, when none was free."""
 
-    place: Place | None
+    place: RingSlot | None
     sequence: CameraSequence | None
     timestamp_ns: int
     arrived_ns: int
@@ -107,7 +107,7 @@ class CameraFeed:
         config: CameraConfig,
         account: Account,
         observer: Observer,
-        camera: Camera | None = None,
+        camera: CameraDriver | None = None,
         realtime: bool | None = False,
     ) -> None:
         """`camera`: the caller's own; None: what `config` says, in a process, with real-time priority as head.toml's
@@ -123,7 +123,7 @@ class CameraFeed:
         self._realtime = realtime
         self._ring: FrameRing | None = None
         self._share = 0
-        self._lent: dict[int, Place] = {}  # by stamp
+        self._lent: dict[int, RingSlot] = {}  # by stamp
         self._wanted = self._opened = False  # opened since it is wanted
         self._heeded = False  # what comes is of the stream that is wanted: it has begun
         self._since_s, self._troubled = 0.0, CameraState.CLOSED  # the trouble: since when, and of which kind
@@ -380,7 +380,7 @@ class CameraFeed:
     def _lend(self) -> None:
         if self._link is None or self._ring is None:
             return
-        new: list[Place] = []
+        new: list[RingSlot] = []
         while len(self._lent) + len(new) < self._share and (place := self._ring.lend()) is not None:
             new.append(place)
         if new and not self._say("slots", [[place.slot, place.stamp] for place in new]):

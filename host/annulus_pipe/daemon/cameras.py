@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.capture.camera import Camera
+from annulus_pipe.capture.camera import CameraDriver
 from annulus_pipe.capture.picamera import configure
 from annulus_pipe.capture.remote import RemoteCamera
 from annulus_pipe.capture.v4l2 import NoSuchControl, V4L2Camera
@@ -17,7 +17,7 @@ from annulus_pipe.vocabulary import AnnulusError
 FRAME_WAIT_S = 0.2  # in one call: who waits for frames says so often enough that a hang is known from silence
 
 
-def open_camera(wanted: CameraConfig, number: int) -> Camera:
+def open_camera(wanted: CameraConfig, number: int) -> CameraDriver:
     """Not started yet. Raises AnnulusError when it is not there or is of another size than configured."""
     camera = _open(wanted, number)
     if (camera.width, camera.height) != (wanted.width, wanted.height):
@@ -29,7 +29,7 @@ def open_camera(wanted: CameraConfig, number: int) -> Camera:
     return camera
 
 
-def _open(wanted: CameraConfig, number: int) -> Camera:
+def _open(wanted: CameraConfig, number: int) -> CameraDriver:
     fps = wanted.timing.fps
     match wanted.kind:
         case "v4l2":
@@ -66,7 +66,7 @@ def picamera2() -> Any:
     return Picamera2
 
 
-def _picamera(wanted: CameraConfig) -> Camera:
+def _picamera(wanted: CameraConfig) -> CameraDriver:
     try:
         camera = picamera2()(int(wanted.device) if wanted.device.isdigit() else 0)
     except (RuntimeError, IndexError) as error:
@@ -89,7 +89,7 @@ def _picamera(wanted: CameraConfig) -> Camera:
     return configured
 
 
-def apply_controls(camera: Camera, config: CameraConfig) -> list[str]:
+def apply_controls(camera: CameraDriver, config: CameraConfig) -> list[str]:
     """Fixed exposure and rate on a sensor; call when it is started. Files and other programs' cameras have none.
 
     Returns what the camera cannot be told, for the operator. Raises AnnulusError when it does not do what it was told.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import zmq
 
-from annulus_pipe.capture.camera import Camera, EndOfFrames, grab
+from annulus_pipe.capture.camera import CameraDriver, EndOfFrames, grab
 from annulus_pipe.daemon.camera_config import CameraConfig
 from annulus_pipe.daemon.cameras import apply_controls, open_camera
 from annulus_pipe.daemon.config import HeadConfig, SocketConfig, load_config
@@ -39,7 +39,7 @@ SENSOR_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckRow:
     """One line of the table. `ok` None: there is nothing to be right or wrong."""
 
     what: str
@@ -47,22 +47,22 @@ class Finding:
     text: str
 
 
-def check_head(path: Path) -> list[Finding]:
+def check_head(path: Path) -> list[CheckRow]:
     """All of it, in the order of a scan's beginning. Waits some seconds for cameras and sensors at most."""
     try:
         config = load_config(path)
     except AnnulusError as error:
-        return [Finding("head.toml", False, str(error))]
-    found = [Finding("head.toml", True, str(path))]
+        return [CheckRow("head.toml", False, str(error))]
+    found = [CheckRow("head.toml", True, str(path))]
 
     def look(what: str, at: Callable[[], str], without: str = "") -> None:
         if without:
-            found.append(Finding(what, None, without))
+            found.append(CheckRow(what, None, without))
             return
         try:
-            found.append(Finding(what, True, at()))
+            found.append(CheckRow(what, True, at()))
         except AnnulusError as error:
-            found.append(Finding(what, False, str(error)))
+            found.append(CheckRow(what, False, str(error)))
 
     look("calibration", lambda: _calibration(config), "" if config.calibration else "none: nothing is seen live")
     look(
@@ -113,22 +113,22 @@ def _wiring(config: HeadConfig) -> str:
     return f"inverted: {pins_text(pins.inverted)}{need}"
 
 
-def _cameras(config: HeadConfig) -> list[Finding]:
+def _cameras(config: HeadConfig) -> list[CheckRow]:
     found = []
     for number, wanted in enumerate(config.cameras):
         what = f"camera {number}"
         try:
             camera = open_camera(wanted, number)
             try:
-                found.append(Finding(what, True, _frame(camera, wanted)))
+                found.append(CheckRow(what, True, _frame(camera, wanted)))
             finally:
                 camera.close()
         except AnnulusError as error:
-            found.append(Finding(what, False, str(error)))
+            found.append(CheckRow(what, False, str(error)))
     return found
 
 
-def _frame(camera: Camera, wanted: CameraConfig) -> str:
+def _frame(camera: CameraDriver, wanted: CameraConfig) -> str:
     """A camera that may wait for ever is waited for by a thread."""
     came: list[object] = []
     wait_s = max(FRAME_S, PERIODS * wanted.timing.period_us / 1e6)
@@ -156,7 +156,7 @@ def _frame(camera: Camera, wanted: CameraConfig) -> str:
     return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}{shows}, a frame came{remarks}"
 
 
-def _first(camera: Camera, end_s: float) -> int:
+def _first(camera: CameraDriver, end_s: float) -> int:
     """The first frame's timestamp; one call of `grab` waits less than the period of a slow camera."""
     while True:
         try:
@@ -230,13 +230,13 @@ def _log(file: Path) -> str:
     return str(file)
 
 
-def priority(wanted: bool | None) -> Finding:
+def priority(wanted: bool | None) -> CheckRow:
     """Whether a thread may be real-time. Tried in a thread that ends with it."""
     if wanted is False:
-        return Finding("priority", None, "not wanted")
+        return CheckRow("priority", None, "not wanted")
     remark: list[str] = []
     thread = threading.Thread(target=lambda: remark.append(raise_priority(True)))
     thread.start()
     thread.join()
     ok = not remark[0] or (False if wanted else None)
-    return Finding("priority", ok, (remark[0] or "real-time") + autogroup_remark())
+    return CheckRow("priority", ok, (remark[0] or "real-time") + autogroup_remark())

@@ -32,7 +32,7 @@ class Operator:
         return hmac.compare_digest(self.id.encode("utf-8", "replace"), other.id.encode("utf-8", "replace"))
 
 
-class Command:
+class CommandLease:
     """The lease. Times are seconds of any one clock."""
 
     def __init__(self) -> None:

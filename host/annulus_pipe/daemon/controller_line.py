@@ -25,7 +25,7 @@ from annulus_pipe.link.messages import (
 from annulus_pipe.link.operate import why_it_stopped
 from annulus_pipe.link.phase import Phase
 from annulus_pipe.link.pins import AS_WIRED, Pins, pins_named
-from annulus_pipe.link.port import Opening, Port
+from annulus_pipe.link.port import Port, PortOpening
 from annulus_pipe.link.preamble import preamble_of
 from annulus_pipe.link.problems import too_old
 from annulus_pipe.link.session import EventReceived, EventsLost, Rebooted
@@ -61,7 +61,7 @@ class ControllerLine:
         self.url, self._account, self._observer = url, account, observer
         self.head = HeadControl(stage, armed=False, preamble=preamble, pins=pins, interlock=interlock)
         self._port: Port | None = Port(url)
-        self._opening: Opening | None = None
+        self._opening: PortOpening | None = None
         self._reopen_s = 0.0
         self._why_shut = ""
         self._armed = False
@@ -114,7 +114,7 @@ class ControllerLine:
         if self._opening is None:
             if time.monotonic() < self._reopen_s:
                 return None
-            self._opening = Opening(self.url)
+            self._opening = PortOpening(self.url)
         try:
             port = self._opening.poll()
         except AnnulusError as error:

@@ -26,7 +26,7 @@ MINUTES = (60, 30, 10, 5, 2)  # left: told once each, as the forecast falls belo
 HANGS_S = 10.0  # without an answer about free space
 
 
-class Space(Protocol):
+class DiskSpace(Protocol):
     """As much of os.statvfs's answer as counts."""
 
     @property
@@ -36,7 +36,7 @@ class Space(Protocol):
     def f_frsize(self) -> int: ...
 
 
-StatVfs = Callable[[str], Space]
+StatVfs = Callable[[str], DiskSpace]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 
-from annulus_pipe.capture.camera import BGR8, SIDE_MAX, EndOfFrames, HeldRequest, OneRequest, Request
+from annulus_pipe.capture.camera import BGR8, SIDE_MAX, CompletedRequest, EndOfFrames, HeldRequest, OneRequest
 from annulus_pipe.scans.scan import TABLE, read_image, read_table
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -46,7 +46,7 @@ class VideoFileCamera(OneRequest):
             self._capture.release()
             self._capture = None
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         if self._capture is None:
             raise AnnulusError(f"{self._path}: not started")
         good, image = self._capture.read()
@@ -103,7 +103,7 @@ class ScanFolderCamera(OneRequest):
     def close(self) -> None:
         pass
 
-    def capture_request(self) -> Request:
+    def capture_request(self) -> CompletedRequest:
         """Raises EndOfFrames after the last, AnnulusError for an image that is missing, truncated or damaged."""
         if self._next >= len(self._frames):
             raise EndOfFrames

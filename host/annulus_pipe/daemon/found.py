@@ -30,7 +30,7 @@ COLOURS = 49  # of a picture: more are noise, and make it twice as large
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class FoundDefect:
     """A defect with the number that stays with it and the frames that saw it.
 
     closeup : what is shown of it from close by, 50 to 150 kB; empty where it is kept for long.
@@ -63,7 +63,7 @@ class Findings:
     """Of one scan."""
 
     def __init__(self, diameter_mm: float) -> None:
-        self.known: list[Found] = []
+        self.known: list[FoundDefect] = []
         self._number = 1  # the next defect's
         self.looked_mm: tuple[float, float] | None = None
         self.diameter_mm = self.k2_mm = math.nan
@@ -84,12 +84,12 @@ class Findings:
                 one["floor_seen"],
                 k2,
             )
-            self.known.append(Found(one["id"], defect, tuple(one["frames"])))
+            self.known.append(FoundDefect(one["id"], defect, tuple(one["frames"])))
         self._number = 1 + max((one.id for one in self.known), default=0)
         looked = summary.get("looked_mm")
         self.looked_mm = (looked[0], looked[1]) if looked else None
 
-    def look(self, survey: Survey, way: int, begins: bool, ends: bool) -> list[Found]:
+    def look(self, survey: Survey, way: int, begins: bool, ends: bool) -> list[FoundDefect]:
         """Put a window's defects to the others; returns which are new or say something new.
 
         way : +1 when the head moves towards greater z, -1 the other way. begins, ends : the window's trailing, leading
@@ -104,7 +104,7 @@ class Findings:
         before = self.looked_mm or seen_to
         self.looked_mm = min(before[0], seen_to[0]), max(before[1], seen_to[1])
         self.diameter_mm, self.k2_mm = survey.diameter_mean_mm, survey.diameter_k2_mm
-        new: list[Found] = []
+        new: list[FoundDefect] = []
         left = [one for one in self.known if not middle[0] <= one.defect.z_mm <= middle[1]]
         open_ = [one for one in self.known if middle[0] <= one.defect.z_mm <= middle[1]]
         for defect in survey.defects:
@@ -118,7 +118,7 @@ class Findings:
                 number = self._number if old is None else old.id
                 self._number += old is None
                 frames = frames_of(defect, survey.profiles)
-                goes_on = Found(number, defect, frames)
+                goes_on = FoundDefect(number, defect, frames)
                 new.append(replace(goes_on, closeup=closeup(number, defect, survey)))
             open_ = [one for one in open_ if one is not old]
             left = [one for one in left if one is not old]

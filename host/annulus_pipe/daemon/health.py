@@ -44,7 +44,7 @@ class Word(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Health:
+class HeadHealth:
     word: Word
     why: str = ""
     restart_helps: bool = False  # whether a fresh process could mend what failed
@@ -57,7 +57,7 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _LastSeen:
     at_s: float
     frames: int
     unknown: int
@@ -71,12 +71,14 @@ class HealthWatch:
     def __init__(self, records: bool = True) -> None:
         """`records`: whether scans are to be recorded."""
         self._records = records
-        self._seen: deque[_Seen] = deque()
+        self._seen: deque[_LastSeen] = deque()
 
-    def judge(self, telemetry: Mapping[str, Any], why_fault: str, now_s: float) -> Health:
+    def judge(self, telemetry: Mapping[str, Any], why_fault: str, now_s: float) -> HeadHealth:
         """`telemetry` as Session.telemetry gives it; why_fault: of a head in fault."""
         frames: Mapping[str, int] = telemetry["frames"]
-        seen = _Seen(now_s, sum(frames.values()), frames.get("unknown", 0), telemetry["recorded"], telemetry["drops"])
+        seen = _LastSeen(
+            now_s, sum(frames.values()), frames.get("unknown", 0), telemetry["recorded"], telemetry["drops"]
+        )
         if self._seen and seen.frames < self._seen[-1].frames:
             self._seen.clear()  # a new scan has a new account
         self._seen.append(seen)
@@ -84,12 +86,12 @@ class HealthWatch:
             self._seen.popleft()  # the first one left is as old as the window, or the oldest there is
         failed, helps = self._failures(telemetry, why_fault, self._seen[0], seen)
         if failed:
-            return Health(Word.FAILED, _line(failed), helps)
+            return HeadHealth(Word.FAILED, _line(failed), helps)
         degraded = self._troubles(telemetry, self._seen[0], seen)
-        return Health(Word.DEGRADED, _line(degraded)) if degraded else Health(Word.OK)
+        return HeadHealth(Word.DEGRADED, _line(degraded)) if degraded else HeadHealth(Word.OK)
 
     def _failures(
-        self, telemetry: Mapping[str, Any], why_fault: str, then: _Seen, now: _Seen
+        self, telemetry: Mapping[str, Any], why_fault: str, then: _LastSeen, now: _LastSeen
     ) -> tuple[list[str], bool]:
         found = []
         if telemetry["state"] == "fault":
@@ -103,7 +105,7 @@ class HealthWatch:
             helps = True
         return found, helps and len(found) == 1
 
-    def _troubles(self, telemetry: Mapping[str, Any], then: _Seen, now: _Seen) -> list[str]:
+    def _troubles(self, telemetry: Mapping[str, Any], then: _LastSeen, now: _LastSeen) -> list[str]:
         new = {kind: count - then.lost.get(kind, 0) for kind, count in now.lost.items() if kind not in HARMLESS}
         found = [f"{count} {kind}" for kind, count in sorted(new.items(), key=lambda one: -one[1]) if count > 0]
         frames, unknown = now.frames - then.frames, now.unknown - then.unknown
@@ -148,7 +150,7 @@ class HealthFile:
         self._thread = threading.Thread(target=self._work, name="health file", daemon=True)
         self._thread.start()
 
-    def write(self, health: Health, state: str, disk: Mapping[str, Any]) -> None:
+    def write(self, health: HeadHealth, state: str, disk: Mapping[str, Any]) -> None:
         """Never waits."""
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         body = {**health.to_dict(), "state": state, "utc": now, "pid": os.getpid(), "disk": dict(disk)}

@@ -9,7 +9,7 @@ from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.camera_feed import Arrived, Began, CameraFeed, Happened
 from annulus_pipe.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus_pipe.stream.frames import FrameHeader
-from annulus_pipe.stream.ring import FrameRing, Place
+from annulus_pipe.stream.ring import FrameRing, RingSlot
 
 RESERVE = 4  # free slots below which frames that cannot be labelled yet, or reconstructed, make way for new ones
 BURST_RESERVE = 2 * RESERVE  # .. while an offset is searched for: when it is found all that waited go out at once
@@ -22,7 +22,7 @@ class InSlot:
     """A frame in its slot of the ring, held for whoever has this."""
 
     seen: FrameSeen
-    place: Place
+    place: RingSlot
     at_ns: int  # when we had it
 
 

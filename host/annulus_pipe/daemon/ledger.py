@@ -52,7 +52,7 @@ LOST_MAX = 0.01  # of the labelled frames; a recording that lacks more is a lost
 EMPTY_S = 5.0  # cameras that brought nothing for so long should have
 
 
-class Status(IntEnum):
+class ExitStatus(IntEnum):
     """How `annulus daemon` exits. The highest of those that apply; 2 is a command line that cannot be read."""
 
     FINE = 0
@@ -64,10 +64,10 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ExitReason:
     """Why a scan does not end well, one line."""
 
-    status: Status
+    status: ExitStatus
     text: str
 
 
@@ -111,19 +111,21 @@ class Ledger:
         }
 
 
-def findings(ledger: Ledger, seconds: float, dark: bool) -> list[Finding]:
+def findings(ledger: Ledger, seconds: float, dark: bool) -> list[ExitReason]:
     """Why a scan of so many `seconds` does not end well. `dark`: the lamps are off for certain."""
     found = []
     lost = sum(ledger.after.values())
     if ledger.recording and ledger.recorded == 0 and (ledger.taken > 0 or seconds > EMPTY_S):
-        found.append(Finding(Status.UNRECORDED, f"nothing was recorded of {ledger.taken} frames"))
+        found.append(ExitReason(ExitStatus.UNRECORDED, f"nothing was recorded of {ledger.taken} frames"))
     elif ledger.recording and lost > LOST_MAX * ledger.labelled:
         text = f"the recording lacks {lost} of {ledger.labelled} labelled frames ({_sum(ledger.after)})"
-        found.append(Finding(Status.INCOMPLETE, text))
+        found.append(ExitReason(ExitStatus.INCOMPLETE, text))
     if ledger.problem:
-        found.append(Finding(Status.UNBALANCED, ledger.problem))
+        found.append(ExitReason(ExitStatus.UNBALANCED, ledger.problem))
     if not dark:
-        found.append(Finding(Status.NOT_DARK, "the lamps may be on: the controller did not confirm that they are off"))
+        found.append(
+            ExitReason(ExitStatus.NOT_DARK, "the lamps may be on: the controller did not confirm that they are off")
+        )
     return found
 
 

@@ -52,8 +52,8 @@ class LiveWall:
         self._rings, self._turns = rings, max(1, -(-VOTES_LEAST // rings))
         votes = min(VOTES_MOST, rings * self._turns)
         self._grids = (
-            Grid("recent", RECENT_STEP_MM, RECENT_ROWS, votes),
-            Grid("whole", RECENT_STEP_MM, WHOLE_ROWS, votes),
+            LiveGrid("recent", RECENT_STEP_MM, RECENT_ROWS, votes),
+            LiveGrid("whole", RECENT_STEP_MM, WHOLE_ROWS, votes),
         )
         self._votes = votes
         self._frames = 0
@@ -105,13 +105,13 @@ class LiveWall:
         return grid.step_mm, rows, np.where(cells == UNSEEN, np.nan, cells / HUNDREDTHS)
 
 
-def word(scan: int, grid: "Grid", first: int, cells: NDArray[np.int16], radius_mm: float) -> Said:
+def word(scan: int, grid: "LiveGrid", first: int, cells: NDArray[np.int16], radius_mm: float) -> Said:
     """Body and cells of topic wall: rows of one of the two grids, how far the radius departs from the nominal one."""
     like = {"scan": scan, "of": grid.of, "step_mm": grid.step_mm, "first": first, "rows": len(cells)}
     return {**like, "columns": COLUMNS, "radius_mm": radius_mm}, cells.astype("<i2").tobytes()
 
 
-class Grid:
+class LiveGrid:
     """One of the two. Row r lies at (r + 0.5) step_mm and is kept at r modulo the number of rows there are, until one
     that needs the place comes; or, of the whole, until all rows become twice as long.
     """

@@ -17,7 +17,7 @@ from typing import Any
 
 from annulus_pipe.daemon.account import ScanReport
 from annulus_pipe.daemon.config import LogConfig
-from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.health import HeadHealth, Word
 from annulus_pipe.daemon.observer import Commanded, Observer
 from annulus_pipe.daemon.state import State
 from annulus_pipe.vocabulary import AnnulusError
@@ -38,7 +38,7 @@ class LogFile(Observer):
         """Raises AnnulusError when the file cannot be opened."""
         try:
             config.file.parent.mkdir(parents=True, exist_ok=True)
-            self._file = _File(
+            self._file = _LogFile(
                 config.file, maxBytes=round(config.max_mb * 1e6), backupCount=config.keep, encoding="utf-8"
             )
         except OSError as error:
@@ -73,7 +73,7 @@ class LogFile(Observer):
     def commanded(self, what: Commanded) -> None:
         self.say(logging.INFO, "asked", str(what))
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         if health.word is not self._word[0]:
             self.say(_HEALTH[health.word], "health", str(health))
         self._word = health.word, health.why
@@ -104,7 +104,7 @@ class LogFile(Observer):
         self._file.close()
 
 
-class _File(logging.handlers.RotatingFileHandler):
+class _LogFile(logging.handlers.RotatingFileHandler):
     failed = False  # the last line could not be written
 
     def handleError(self, record: logging.LogRecord) -> None:

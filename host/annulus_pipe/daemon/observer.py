@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from annulus_pipe.daemon.account import Account, ScanReport
-from annulus_pipe.daemon.health import Health
+from annulus_pipe.daemon.health import HeadHealth
 from annulus_pipe.daemon.state import State
 from annulus_pipe.job import JobSheet
 from annulus_pipe.numeric.arrays import Image
@@ -91,7 +91,7 @@ class Observer:
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         """Once a second: every counter there is, as plain types."""
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         """Once a second: how the head is, in one word."""
 
     def ending(self) -> None:
@@ -147,7 +147,7 @@ class Observers(Observer):
         for one in self.all:
             one.telemetry(numbers)
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         for one in self.all:
             one.health(health)
 

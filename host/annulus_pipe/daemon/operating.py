@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from annulus_pipe.daemon.about import about
-from annulus_pipe.daemon.command import Command
+from annulus_pipe.daemon.command import CommandLease
 from annulus_pipe.daemon.config import HeadConfig, LampConfig
 from annulus_pipe.daemon.controller_line import (
     ControllerLine,
@@ -57,7 +57,7 @@ class Operating:
 
     def __init__(self, session: Operated) -> None:
         self._session = session
-        self._command = Command()
+        self._command = CommandLease()
         self._trial_until_s: float | None = None  # monotonic
         self._before: LampConfig | None = None  # the lamps that come back when the trial ends
         self._photo_s = -PHOTO_S  # monotonic, of the last mark with a photo

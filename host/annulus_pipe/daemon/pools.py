@@ -21,7 +21,7 @@ import zmq
 
 from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.flashes import Flashes, Gathered
-from annulus_pipe.daemon.health import Health
+from annulus_pipe.daemon.health import HeadHealth
 from annulus_pipe.daemon.intake import RESERVE, InSlot
 from annulus_pipe.daemon.observer import Commanded, Mark, Observer
 from annulus_pipe.daemon.reorder import ReorderBuffer
@@ -35,8 +35,8 @@ from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.stream.orphan import child
-from annulus_pipe.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
-from annulus_pipe.stream.ring import Place
+from annulus_pipe.stream.pool_events import Died, Done, FrameFailed, FrameLost, PoolEvent, Ready, Report
+from annulus_pipe.stream.ring import RingSlot
 from annulus_pipe.stream.workers import Shared, WorkerKind, WorkerPool
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall.profile import Profile
@@ -129,7 +129,7 @@ class Pool:
                     self._came_up()
                 case Done(header=header, body=body):
                     self._done(header, body)
-                case Failed(header=header, why=why):
+                case FrameFailed(header=header, why=why):
                     self._lost(header, "failed", why)
                 case FrameLost(header=header, why=why):
                     self._lost(header, "died", why)
@@ -215,7 +215,7 @@ class Recorder(Pool, Observer):
         self._behind = 0  # frames lost since it fell behind
         self._notes_dropped = 0
 
-    def offer(self, header: FrameHeader, place: Place) -> None:
+    def offer(self, header: FrameHeader, place: RingSlot) -> None:
         """A labelled frame; lost, and counted, when there is no room."""
         self._account.to_record += 1
         if not self.in_hand:
@@ -289,7 +289,7 @@ class Recorder(Pool, Observer):
             self._observer.event("disk", f"{path}: was removed; the frames in it are lost")
             self._gone(path)
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         self.note("/health", health.to_dict())
 
     def _done(self, header: FrameHeader, body: Any) -> None:

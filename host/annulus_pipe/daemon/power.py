@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import zmq
 
-from annulus_pipe.capture.camera import Camera
+from annulus_pipe.capture.camera import CameraDriver
 from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.camera_feed import CameraFeed
 from annulus_pipe.daemon.config import HeadConfig
@@ -50,7 +50,7 @@ class Power:
 
 def power_up(
     config: HeadConfig,
-    cameras: Sequence[Camera] | None,
+    cameras: Sequence[CameraDriver] | None,
     sensors: Sequence[Sensor],
     account: Account,
     observers: Observers,

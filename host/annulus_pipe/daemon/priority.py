@@ -81,7 +81,7 @@ def share_priority() -> None:
 
 def prompt(context: "zmq.Context[zmq.Socket[bytes]]") -> "zmq.Context[zmq.Socket[bytes]]":
     """The calling thread's priority for the context's own threads, if it is real-time. Before its first socket. Where
-    strangers reach its sockets, only within an Allowance.
+    strangers reach its sockets, only within a ProcessorAllowance.
     """
     if is_realtime():
         context.set(zmq.THREAD_SCHED_POLICY, os.SCHED_FIFO)
@@ -89,7 +89,7 @@ def prompt(context: "zmq.Context[zmq.Socket[bytes]]") -> "zmq.Context[zmq.Socket
     return context
 
 
-class Allowance:
+class ProcessorAllowance:
     """Real-time priority for a process that strangers talk to, its thread and libzmq's, as long as it needs little.
     Whoever makes it work hard makes it an ordinary process, for a second at least, and nothing else late. One that does
     not come back from a call at all is ended by the kernel; its owner starts another.

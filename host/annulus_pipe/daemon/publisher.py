@@ -14,7 +14,7 @@ import zmq
 
 from annulus_pipe.daemon.live_wall import LiveWall
 from annulus_pipe.daemon.pictures import preview, rows, slits
-from annulus_pipe.daemon.priority import Allowance, prompt
+from annulus_pipe.daemon.priority import ProcessorAllowance, prompt
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.stream.access import Doorkeeper, Keys
@@ -33,7 +33,7 @@ class PublisherJob:
     where it is bound, and each time it had to close everybody's connection.
 
     What is made of frames and profiles for somebody (pictures.py), and the wall, is made and numbered here. Labels are
-    to be there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
+    to be there at once, so it has real-time priority where that is allowed, but within limits (ProcessorAllowance).
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class PublisherJob:
         self._under_way = scan is not None
         self._wall = None if calibration is None else LiveWall(calibration, scan or 0)
         self._made: Counter[str] = Counter()  # by topic
-        self._allowance = Allowance(realtime)
+        self._allowance = ProcessorAllowance(realtime)
         self._context: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
         self._doorkeeper = Doorkeeper(self._context)
         try:

@@ -9,7 +9,7 @@ from typing import Any
 
 from annulus_pipe.daemon.account import Account, ScanReport
 from annulus_pipe.daemon.config import SocketConfig
-from annulus_pipe.daemon.health import Health
+from annulus_pipe.daemon.health import HeadHealth
 from annulus_pipe.daemon.observer import Mark, Observer
 from annulus_pipe.daemon.pools import Pool
 from annulus_pipe.daemon.state import State
@@ -18,7 +18,7 @@ from annulus_pipe.job import JobSheet
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.stream.orphan import child
-from annulus_pipe.stream.ring import Place
+from annulus_pipe.stream.ring import RingSlot
 from annulus_pipe.stream.workers import Shared, WorkerKind
 from annulus_pipe.wall.profile import Profile
 
@@ -63,7 +63,7 @@ class Publishing(Pool, Observer):
         """A frame's label, which needs no slot."""
         self._send("label", header.to_dict())
 
-    def offer(self, header: FrameHeader, place: Place) -> None:
+    def offer(self, header: FrameHeader, place: RingSlot) -> None:
         """A labelled frame; no viewer has it, and that is counted, when there is no room."""
         if not self._pool.offer(header, place, self._number(f"frame/{header.camera}")):
             self._account.lose("publisher_busy")
@@ -93,7 +93,7 @@ class Publishing(Pool, Observer):
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self._send("telemetry", numbers)
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         self._send("health", health.to_dict())
 
     def ended(self, report: ScanReport) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 
 from annulus_pipe.daemon.account import ScanReport
 from annulus_pipe.daemon.config import HeadConfig, LogConfig
-from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.health import HeadHealth, Word
 from annulus_pipe.daemon.interrupt import Interrupt
-from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.ledger import ExitStatus
 from annulus_pipe.daemon.logfile import LogFile
 from annulus_pipe.daemon.observer import Commanded, Observer, Observers
 from annulus_pipe.daemon.priority import raise_priority
@@ -33,7 +33,7 @@ class Console(Observer):
     def __init__(self) -> None:
         self._word = Word.OK
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         if health.word is not self._word:
             _say(f"health {health}")
         self._word = health.word
@@ -56,7 +56,7 @@ class Console(Observer):
             _say(line)
 
 
-def run_daemon(config: HeadConfig, log: Path | None = None, job: Sequence[str] = ()) -> Status:
+def run_daemon(config: HeadConfig, log: Path | None = None, job: Sequence[str] = ()) -> ExitStatus:
     """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
     AnnulusError when it cannot begin.
 

@@ -46,7 +46,7 @@ def open_sensors(wanted: Sequence[SensorConfig]) -> list[Sensor]:
     return opened
 
 
-class Samples:
+class SensorSamples:
     """A sensor that breaks or falls silent costs its samples, nothing else."""
 
     def __init__(self, sensors: Sequence[Sensor], navigation: Navigation, account: Account, observer: Observer) -> None:

@@ -1,6 +1,6 @@
 """One scan, from start to stop: its recorder, its cameras, the lamps, in this order up.
 
-scan = Scan(config, power, account, observers, navigation, name)   # its recorder is on its way up
+scan = RunningScan(config, power, account, observers, navigation, name)   # its recorder is on its way up
 scan.start()                                      # now cameras and lamps may follow
 while not scan.armed:
     why = scan.come_up()                          # not empty: it cannot go on
@@ -37,7 +37,7 @@ NO_PREAMBLE = (
 )
 
 
-class Scan:
+class RunningScan:
     """What a scan has of its own. The account is restarted for it."""
 
     def __init__(

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.health import HeadHealth, Word
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.state import State
 
@@ -32,7 +32,7 @@ class Service(Observer):
         )
         self._now_s = now_s
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self._health = Health(Word.OK)
+        self._health = HeadHealth(Word.OK)
         self._hopeless_s: float | None = None  # since when a restart might help
         self._ready = False
         if address:
@@ -52,7 +52,7 @@ class Service(Observer):
         if not self._ready:  # what it waits for before it can begin; after that, its state is more to be known
             self._say("STATUS=" + _plain(text))
 
-    def health(self, health: Health) -> None:
+    def health(self, health: HeadHealth) -> None:
         self._health = health
         failed = health.word is Word.FAILED and health.restart_helps
         self._hopeless_s = (self._now_s() if self._hopeless_s is None else self._hopeless_s) if failed else None

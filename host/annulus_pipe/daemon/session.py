@@ -21,27 +21,27 @@ from typing import Any
 
 import zmq
 
-from annulus_pipe.capture.camera import Camera
+from annulus_pipe.capture.camera import CameraDriver
 from annulus_pipe.daemon.account import Account, ScanReport
 from annulus_pipe.daemon.camera_feed import CameraFeed
 from annulus_pipe.daemon.config import HeadConfig, require_size
 from annulus_pipe.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus_pipe.daemon.intake import RESERVE, InSlot
-from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.ledger import ExitStatus
 from annulus_pipe.daemon.observer import Observer, Observers, Remember, whatever_happens
 from annulus_pipe.daemon.operating import Operating
 from annulus_pipe.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus_pipe.daemon.power import Power, power_up
 from annulus_pipe.daemon.publishing import Publishing
-from annulus_pipe.daemon.samples import Samples, place_numbers, tell_place
-from annulus_pipe.daemon.scanning import DRAIN_S, START_S, Scan
-from annulus_pipe.daemon.state import Event, State, next_state
+from annulus_pipe.daemon.samples import SensorSamples, place_numbers, tell_place
+from annulus_pipe.daemon.scanning import DRAIN_S, START_S, RunningScan
+from annulus_pipe.daemon.state import State, StateEvent, next_state
 from annulus_pipe.daemon.vitals import Turns, Vitals
+from annulus_pipe.hooks import watch
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
-from annulus_pipe.wings import watch
 
 TELEMETRY_S = 1.0
 CHORES_S = 0.02  # between two looks at sensors, states and sockets
@@ -53,7 +53,7 @@ class Session:
     def __init__(
         self,
         config: HeadConfig,
-        cameras: Sequence[Camera] | None = None,
+        cameras: Sequence[CameraDriver] | None = None,
         observer: Observer | None = None,
         *,
         sensors: Sequence[Sensor] = (),
@@ -75,11 +75,11 @@ class Session:
         self._operating = Operating(self)
         watch(config, self.observers)
         self.navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
-        self._samples = Samples(sensors, self.navigation, self._account, self.observers)
+        self._samples = SensorSamples(sensors, self.navigation, self._account, self.observers)
         self._vitals: Vitals | None = None
         self._trouble = ""  # why the head is in fault
         self._power: Power | None = None
-        self._scan: Scan | None = None  # the one under way, or being made ready
+        self._scan: RunningScan | None = None  # the one under way, or being made ready
         self._reconstruction: Reconstruction | None = None
         self._next_telemetry = self._next_chores = 0.0
         self._turns = Turns()
@@ -88,7 +88,7 @@ class Session:
         self._number = 0  # of the scan under way, or the last
         self.newest_led: int | None = None  # index, of camera 0: what an operator saw when he marked a place
         self._problem = ""  # why the session cannot go on
-        self.status = Status.FINE  # how the worst scan so far ended
+        self.status = ExitStatus.FINE  # how the worst scan so far ended
 
     # ---- from beginning to end ----
 
@@ -100,18 +100,18 @@ class Session:
         begin, or a camera breaks.
         """
         with ExitStack() as stack:
-            self._enter(Event.POWER)
-            stack.callback(self._enter, Event.ENDED)
+            self._enter(StateEvent.POWER)
+            stack.callback(self._enter, StateEvent.ENDED)
             try:
                 self._power_up(stack)
                 if self._become_ready(stop):
-                    self._enter(Event.READY)
+                    self._enter(StateEvent.READY)
                     if self.config.autostart:
                         self.start()
                 while not (stop() or self._problem or self._is_over):
                     self._turn()
             finally:
-                self._enter(Event.END)
+                self._enter(StateEvent.END)
                 self._end_scan()
                 with whatever_happens(self.observers, "workers"):
                     if self._reconstruction is not None:
@@ -233,40 +233,40 @@ class Session:
 
     # ---- one scan ----
 
-    def _prepare_scan(self, power: Power, record: bool = True) -> Scan:
+    def _prepare_scan(self, power: Power, record: bool = True) -> RunningScan:
         """Raises AnnulusError when there is no room for a recording."""
         if self._vitals is not None and record:
             self._vitals.require_space()
         config = self.config if record else replace(self.config, record_folder=None)
-        self._scan = Scan(config, power, self._account, self.observers, self.navigation, self._name)
+        self._scan = RunningScan(config, power, self._account, self.observers, self.navigation, self._name)
         return self._scan
 
     def start(self, record: bool = True) -> None:
         """Idle to armed; raises AnnulusError when that cannot be. Lamps and cameras follow once the recorder is up."""
-        next_state(self._state, Event.START)
+        next_state(self._state, StateEvent.START)
         assert self._power is not None  # no state but off and powering is without
         scan = self._scan or self._prepare_scan(self._power, record)
         self._number, self.newest_led = secrets.randbits(32), None
         self.observers.begun(self._number)
-        self._enter(Event.START)
+        self._enter(StateEvent.START)
         scan.start()
 
     def pause(self) -> None:
         """Lamps off, then the cameras; the recording stays open. Raises AnnulusError when no scan is under way."""
-        next_state(self._state, Event.PAUSE)
+        next_state(self._state, StateEvent.PAUSE)
         scan = self._scan
         assert scan is not None
         self._go_dark()
         scan.pause()
         for header, frame in scan.labelled(final=True):
             self._tell(header, frame)
-        self._enter(Event.PAUSE)
+        self._enter(StateEvent.PAUSE)
 
     def resume(self) -> None:
         """Cameras and lamps again. Raises AnnulusError when the scan is not paused."""
-        next_state(self._state, Event.RESUME)
+        next_state(self._state, StateEvent.RESUME)
         assert self._scan is not None
-        self._enter(Event.RESUME)
+        self._enter(StateEvent.RESUME)
         self._scan.resume()
 
     def _fail(self, why: str) -> None:
@@ -280,7 +280,7 @@ class Session:
     def stop(self) -> None:
         """The scan ends, the session does not."""
         self._end_scan()
-        self._enter(Event.STOP)
+        self._enter(StateEvent.STOP)
         self._operating.ended()
 
     @property
@@ -321,7 +321,7 @@ class Session:
         with whatever_happens(self.observers, "disarm"):
             self._go_dark()
         if not self._account.dark:
-            self.status = Status.NOT_DARK
+            self.status = ExitStatus.NOT_DARK
         for intake in scan.intakes if scan is not None else []:
             with whatever_happens(self.observers, "camera"):
                 intake.stop()
@@ -350,7 +350,7 @@ class Session:
         self._report = self._account.report({**telemetry, **self._account.numbers()})
         for finding in self._report.findings:
             self.status = max(self.status, finding.status)
-            if finding.status is Status.UNBALANCED:
+            if finding.status is ExitStatus.UNBALANCED:
                 self.observers.event("ledger", finding.text)
         self.observers.ended(self._report)
         self._scan = None
@@ -449,7 +449,7 @@ class Session:
         if header.label is Label.LED and header.camera == 0:
             self.newest_led = header.index
         if self._state is State.ARMED and header.label is not Label.UNKNOWN:
-            self._enter(Event.LABELLED)
+            self._enter(StateEvent.LABELLED)
         if self._publishing is not None:
             self._publishing.label(header)
         self._labelled.append((header, frame))
@@ -469,7 +469,7 @@ class Session:
 
     # ---- states ----
 
-    def _enter(self, event: Event, why: str = "") -> None:
+    def _enter(self, event: StateEvent, why: str = "") -> None:
         self._state = next_state(self._state, event)
         self.observers.state(self._state, why)
 
@@ -482,9 +482,9 @@ class Session:
         trouble = (self.line.trouble if self.line is not None else "") or (scan.trouble if scan is not None else "")
         self._trouble = trouble
         if trouble and self._state in (State.IDLE, State.ARMED, State.SCANNING):
-            self._enter(Event.FAULT, trouble)
+            self._enter(StateEvent.FAULT, trouble)
         elif self._state is State.FAULT and not trouble and (self.line is None or self.line.settled):
-            self._enter(Event.RUNNING if self.has_scan else Event.CLEARED)
+            self._enter(StateEvent.RUNNING if self.has_scan else StateEvent.CLEARED)
         stopped = self.line.stopped if self.line is not None and scan is not None and scan.armed else ""
         if problem := stopped or (scan.problem if scan is not None else ""):
             self._fail(problem)

@@ -29,7 +29,7 @@ class State(StrEnum):
     ENDING = "ending"  # lamps off, what is in hand goes where it belongs
 
 
-class Event(StrEnum):
+class StateEvent(StrEnum):
     POWER = "power"
     READY = "ready"
     START = "start"
@@ -44,35 +44,35 @@ class Event(StrEnum):
     ENDED = "ended"
 
 
-TRANSITIONS: Mapping[tuple[State, Event], State] = {
-    (State.OFF, Event.POWER): State.POWERING,
-    (State.POWERING, Event.READY): State.IDLE,
-    (State.POWERING, Event.END): State.ENDING,
-    (State.IDLE, Event.START): State.ARMED,
-    (State.IDLE, Event.FAULT): State.FAULT,
-    (State.IDLE, Event.END): State.ENDING,
-    (State.ARMED, Event.LABELLED): State.SCANNING,
-    (State.ARMED, Event.FAULT): State.FAULT,
-    (State.ARMED, Event.STOP): State.IDLE,
-    (State.ARMED, Event.END): State.ENDING,
-    (State.SCANNING, Event.FAULT): State.FAULT,
-    (State.SCANNING, Event.STOP): State.IDLE,
-    (State.SCANNING, Event.END): State.ENDING,
-    (State.ARMED, Event.PAUSE): State.PAUSED,
-    (State.SCANNING, Event.PAUSE): State.PAUSED,
-    (State.FAULT, Event.PAUSE): State.PAUSED,
-    (State.PAUSED, Event.RESUME): State.ARMED,
-    (State.PAUSED, Event.STOP): State.IDLE,
-    (State.PAUSED, Event.END): State.ENDING,
-    (State.FAULT, Event.RUNNING): State.ARMED,
-    (State.FAULT, Event.CLEARED): State.IDLE,
-    (State.FAULT, Event.STOP): State.IDLE,
-    (State.FAULT, Event.END): State.ENDING,
-    (State.ENDING, Event.ENDED): State.OFF,
+TRANSITIONS: Mapping[tuple[State, StateEvent], State] = {
+    (State.OFF, StateEvent.POWER): State.POWERING,
+    (State.POWERING, StateEvent.READY): State.IDLE,
+    (State.POWERING, StateEvent.END): State.ENDING,
+    (State.IDLE, StateEvent.START): State.ARMED,
+    (State.IDLE, StateEvent.FAULT): State.FAULT,
+    (State.IDLE, StateEvent.END): State.ENDING,
+    (State.ARMED, StateEvent.LABELLED): State.SCANNING,
+    (State.ARMED, StateEvent.FAULT): State.FAULT,
+    (State.ARMED, StateEvent.STOP): State.IDLE,
+    (State.ARMED, StateEvent.END): State.ENDING,
+    (State.SCANNING, StateEvent.FAULT): State.FAULT,
+    (State.SCANNING, StateEvent.STOP): State.IDLE,
+    (State.SCANNING, StateEvent.END): State.ENDING,
+    (State.ARMED, StateEvent.PAUSE): State.PAUSED,
+    (State.SCANNING, StateEvent.PAUSE): State.PAUSED,
+    (State.FAULT, StateEvent.PAUSE): State.PAUSED,
+    (State.PAUSED, StateEvent.RESUME): State.ARMED,
+    (State.PAUSED, StateEvent.STOP): State.IDLE,
+    (State.PAUSED, StateEvent.END): State.ENDING,
+    (State.FAULT, StateEvent.RUNNING): State.ARMED,
+    (State.FAULT, StateEvent.CLEARED): State.IDLE,
+    (State.FAULT, StateEvent.STOP): State.IDLE,
+    (State.FAULT, StateEvent.END): State.ENDING,
+    (State.ENDING, StateEvent.ENDED): State.OFF,
 }
 
 
-def next_state(state: State, event: Event) -> State:
+def next_state(state: State, event: StateEvent) -> State:
     """Raises AnnulusError, one line that says when the event is possible, where the table has nothing."""
     to = TRANSITIONS.get((state, event))
     if to is None:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from annulus_pipe.daemon.found import Findings, Found
+from annulus_pipe.daemon.found import Findings, FoundDefect
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.stream.frames import FrameHeader
@@ -30,7 +30,7 @@ REST_MS = 200
 REPEAT_TURNS = 10  # of REST_MS: the list, for who came late; a close-up each turn between
 
 
-class Window:
+class ProfileWindow:
     """The profiles that are to be looked at next, and as many of those before as belong with them."""
 
     def __init__(self, diameter_mm: float, begins: bool = True) -> None:
@@ -94,14 +94,14 @@ class SurveyorJob:
         self._begin(0)
         if takes_over is not None:
             self._scan = takes_over["scan"]
-            self._window = Window(self._diameter_mm, begins=False)
+            self._window = ProfileWindow(self._diameter_mm, begins=False)
             self._findings.take_over(takes_over)
 
     def _begin(self, scan: int) -> None:
         self._scan, self._ended, self._stale = scan, False, self._looking is not None
-        self._window = Window(self._diameter_mm)
+        self._window = ProfileWindow(self._diameter_mm)
         self._findings = Findings(self._diameter_mm)
-        self._shown: deque[Found] = deque(maxlen=CLOSEUPS_MAX)
+        self._shown: deque[FoundDefect] = deque(maxlen=CLOSEUPS_MAX)
         self._told_missed = 0
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
@@ -173,7 +173,7 @@ class SurveyorJob:
     def _defects(self) -> list[Any]:
         return ["defects", self._findings.to_dict(self._scan), b""]
 
-    def _closeup(self, one: Found) -> list[Any]:
+    def _closeup(self, one: FoundDefect) -> list[Any]:
         body, picture = one.closeup
         return ["closeup", {"scan": self._scan, **body}, picture]
 

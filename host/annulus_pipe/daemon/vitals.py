@@ -6,7 +6,7 @@ from typing import Any
 
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.daemon.disk import MB, Asker, DiskState, Forecast, require_room, short_of
-from annulus_pipe.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
+from annulus_pipe.daemon.health import HeadHealth, HealthFile, HealthWatch, Word, health_path
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.priority import share_priority
 from annulus_pipe.record.codec import SHARE
@@ -47,7 +47,7 @@ class Vitals:
         self._watch = HealthWatch(records=config.record_folder is not None)
         self._asker = None if config.record_folder is None else Asker(config.record_folder)
         self._disk = DiskState()
-        self.health = Health(Word.OK)  # as of the last look
+        self.health = HeadHealth(Word.OK)  # as of the last look
         path = health_path(config.record_folder)
         self._file = None if path is None else HealthFile(path)
         self._reported = self._refuses = ""

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from annulus_pipe.console.access import password_file
-from annulus_pipe.daemon.check import Finding, check_head, priority
+from annulus_pipe.daemon.check import CheckRow, check_head, priority
 from annulus_pipe.daemon.config import HeadConfig, load_config
 from annulus_pipe.doctor.drive import disk
 from annulus_pipe.doctor.eyes import cameras
@@ -19,7 +19,7 @@ from annulus_pipe.reprocess import make_ready
 from annulus_pipe.twin.worlds import demo_world
 from annulus_pipe.vocabulary import AnnulusError
 
-__all__ = ["Finding", "compile_ahead", "examine"]
+__all__ = ["CheckRow", "compile_ahead", "examine"]
 
 
 def compile_ahead(config: Path | None, say: Callable[[str], None]) -> None:
@@ -28,7 +28,7 @@ def compile_ahead(config: Path | None, say: Callable[[str], None]) -> None:
     make_ready(calibration or demo_world().calibration(), say)
 
 
-def examine(config: Path | None = None, folder: Path | None = None, root: Path = Path("/")) -> list[Finding]:
+def examine(config: Path | None = None, folder: Path | None = None, root: Path = Path("/")) -> list[CheckRow]:
     """All rows. config : head.toml, whose own parts are then looked at as well, as before a scan. folder : where
     recordings would go; that of head.toml, or the present one. root : of the file system, another in tests.
     """
@@ -38,7 +38,7 @@ def examine(config: Path | None = None, folder: Path | None = None, root: Path =
             head = load_config(config)
     calibration = None if head is None else head.calibration
     where = folder or (head.record_folder if head is not None else None) or Path.cwd()
-    looks: tuple[Callable[[], list[Finding]], ...] = (
+    looks: tuple[Callable[[], list[CheckRow]], ...] = (
         versions,
         lambda: kernels(calibration),
         lambda: ports(root),

@@ -4,7 +4,7 @@ import os
 import time
 from pathlib import Path
 
-from annulus_pipe.daemon.check import Finding, bytes_per_s
+from annulus_pipe.daemon.check import CheckRow, bytes_per_s
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.daemon.disk import GB, MB, free_bytes
 
@@ -15,7 +15,7 @@ FRAME_BYTES, FPS = 1664 * 1232, 25.0  # a frame of the head that annulus was bui
 SPARE = 1.5  # a disk pauses now and then: so much faster than needed is enough
 
 
-def disk(folder: Path, head: HeadConfig | None = None, size: int = MEASURED_BYTES) -> list[Finding]:
+def disk(folder: Path, head: HeadConfig | None = None, size: int = MEASURED_BYTES) -> list[CheckRow]:
     """Two rows: speed and free space. The folder need not be there yet."""
     there = folder.absolute()
     while not there.exists() and there != there.parent:
@@ -23,7 +23,7 @@ def disk(folder: Path, head: HeadConfig | None = None, size: int = MEASURED_BYTE
     try:
         rate, free = speed(there, size), free_bytes(there)
     except OSError as error:
-        return [Finding("disk", False, f"{folder}: cannot be written ({error.strerror}). Choose another folder.")]
+        return [CheckRow("disk", False, f"{folder}: cannot be written ({error.strerror}). Choose another folder.")]
     need = FRAME_BYTES * FPS if head is None else bytes_per_s(head.cameras)
     frame = FRAME_BYTES if head is None else need / max(one.timing.fps for one in head.cameras)
     what = f"{frame / MB:.1f} MB a frame" + ("" if head is not None else ", raw")
@@ -32,8 +32,8 @@ def disk(folder: Path, head: HeadConfig | None = None, size: int = MEASURED_BYTE
         text += f"; {need / MB:.0f} MB/s come. Record to an SSD, or at fewer frames a second."
     hours = free / need / 3600
     return [
-        Finding("disk", rate >= SPARE * need, text),
-        Finding("free space", free > 2 * GB, f"{folder}: {free / GB:.1f} GB, {hours:.1f} h at {need / MB:.0f} MB/s"),
+        CheckRow("disk", rate >= SPARE * need, text),
+        CheckRow("free space", free > 2 * GB, f"{folder}: {free / GB:.1f} GB, {hours:.1f} h at {need / MB:.0f} MB/s"),
     ]
 
 

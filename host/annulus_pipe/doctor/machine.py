@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from annulus_pipe import shipped
-from annulus_pipe.daemon.check import Finding
+from annulus_pipe.daemon.check import CheckRow
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.flash import update
 from annulus_pipe.flash.image import read_image
@@ -26,7 +26,7 @@ SPARE_BYTES = 600e6  # for the daemon, a recorder, a publisher and two workers, 
 YEAR_LEAST = 2025  # this was written then: an earlier clock is wrong
 
 
-def versions() -> list[Finding]:
+def versions() -> list[CheckRow]:
     """annulus and what it runs on; the native library and the Pico's image that come with it."""
     have = []
     for name in PACKAGES:
@@ -36,42 +36,44 @@ def versions() -> list[Finding]:
             continue
     about = f"{importlib.metadata.version('annulus-pipe')}, commit {shipped.commit()}"
     python = f"Python {platform.python_version()} on {platform.machine()}"
-    found = [Finding("annulus", True, f"{about}; {python}; {', '.join(have)}")]
+    found = [CheckRow("annulus", True, f"{about}; {python}; {', '.join(have)}")]
     try:
         shipped.shipped(shipped.NATIVE)
-        found.append(Finding("simulation", True, "the firmware's own code is there for this machine"))
+        found.append(CheckRow("simulation", True, "the firmware's own code is there for this machine"))
     except AnnulusError as error:
-        found.append(Finding("simulation", None, str(error)))
+        found.append(CheckRow("simulation", None, str(error)))
     try:
         image = update.image_fields(read_image(shipped.shipped(shipped.IMAGE)))
-        found.append(Finding("image", bool(image["fits_this_host"]), f"annulus.uf2 {image['version']}, {image['git']}"))
+        found.append(
+            CheckRow("image", bool(image["fits_this_host"]), f"annulus.uf2 {image['version']}, {image['git']}")
+        )
     except AnnulusError as error:
-        found.append(Finding("image", None, str(error)))
+        found.append(CheckRow("image", None, str(error)))
     return found
 
 
-def kernels(calibration: Calibration | None = None) -> list[Finding]:
+def kernels(calibration: Calibration | None = None) -> list[CheckRow]:
     """Whether the measuring loops of a head are compiled: of the one named, or of one camera and a slide."""
     kept = compiling.folder()
     if kept is None:
-        return [Finding("compiled", False, compiling.NOWHERE)]
+        return [CheckRow("compiled", False, compiling.NOWHERE)]
     work = ahead.USUAL if calibration is None else ahead.work_of(calibration)
     ready = compiling.is_ready(work) if calibration is None else ahead.is_ready(calibration)
     if ready:
-        return [Finding("compiled", True, f"the measuring loops ({work}), in {kept}")]
-    return [Finding("compiled", None, f"not yet ({work}): the first scan waits for it, or have doctor compile it now")]
+        return [CheckRow("compiled", True, f"the measuring loops ({work}), in {kept}")]
+    return [CheckRow("compiled", None, f"not yet ({work}): the first scan waits for it, or have doctor compile it now")]
 
 
-def secrets(files: Sequence[Path]) -> list[Finding]:
+def secrets(files: Sequence[Path]) -> list[CheckRow]:
     """Whether nobody else may read or change them; those of head.toml are looked at when it is read."""
     found = []
     for path in files:
         with suppress(FileNotFoundError):
             try:
                 require_secret(path)
-                found.append(Finding("secret", True, f"{path}: this user's alone"))
+                found.append(CheckRow("secret", True, f"{path}: this user's alone"))
             except (AnnulusError, ValueError) as error:
-                found.append(Finding("secret", False, str(error)))
+                found.append(CheckRow("secret", False, str(error)))
     return found
 
 
@@ -80,7 +82,7 @@ def clock(
     even: Callable[[], int] = time.monotonic_ns,
     synchronised: Callable[[], bool | None] | None = None,
     look_s: float = LOOK_S,
-) -> list[Finding]:
+) -> list[CheckRow]:
     """Whether the time of day is somebody's, and stands still against the one that frames are stamped with."""
     before = wall() - even()
     time.sleep(look_s)
@@ -88,12 +90,12 @@ def clock(
     year = time.gmtime(wall() / 1e9).tm_year
     known = (synchronised or _synchronised)()
     if year < YEAR_LEAST:
-        return [Finding("clock", False, f"it is {year} here: sudo timedatectl set-ntp true, or fit a real-time clock")]
+        return [CheckRow("clock", False, f"it is {year} here: sudo timedatectl set-ntp true, or fit a real-time clock")]
     if step_ms > STEP_MS:
-        return [Finding("clock", False, f"the time of day jumped by {step_ms:.1f} ms in {look_s:g} s: who sets it?")]
+        return [CheckRow("clock", False, f"the time of day jumped by {step_ms:.1f} ms in {look_s:g} s: who sets it?")]
     words = {True: "synchronised", False: "not synchronised: recordings may tell a wrong time of day", None: "unknown"}
     text = f"{words[known]}; steady within {max(step_ms, 0.001):.3f} ms"
-    return [Finding("clock", True if known else None, text)]
+    return [CheckRow("clock", True if known else None, text)]
 
 
 def _synchronised() -> bool | None:
@@ -107,7 +109,7 @@ def _synchronised() -> bool | None:
     return not timex[STATUS_AT] & STA_UNSYNC
 
 
-def memory(root: Path = Path("/"), head: HeadConfig | None = None) -> list[Finding]:
+def memory(root: Path = Path("/"), head: HeadConfig | None = None) -> list[CheckRow]:
     """Memory for frames in hand; they cross processes in a memfd, which counts as memory."""
     free = {}
     for line in text_of(root / "proc/meminfo").splitlines():
@@ -115,15 +117,15 @@ def memory(root: Path = Path("/"), head: HeadConfig | None = None) -> list[Findi
         if value.split()[:1] and value.split()[0].isdigit():
             free[name] = int(value.split()[0]) * 1024
     if "MemAvailable" not in free:
-        return [Finding("memory", None, "unknown")]
+        return [CheckRow("memory", None, "unknown")]
     frames = 0.0 if head is None else head.slots * max(3 * one.width * one.height for one in head.cameras)
     need = SPARE_BYTES + frames
     text = f"{free['MemAvailable'] / 1e9:.1f} of {free.get('MemTotal', 0) / 1e9:.1f} GB are free"
     if head is not None:
         text += f"; {head.slots} frames in hand are {frames / 1e6:.0f} MB"
     if free["MemAvailable"] < need:
-        return [Finding("memory", False, f"{text}; a head needs {need / 1e9:.1f} GB: fewer [workers] slots?")]
-    return [Finding("memory", True, text)]
+        return [CheckRow("memory", False, f"{text}; a head needs {need / 1e9:.1f} GB: fewer [workers] slots?")]
+    return [CheckRow("memory", True, text)]
 
 
 def text_of(path: Path) -> str:

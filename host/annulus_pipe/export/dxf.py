@@ -19,7 +19,7 @@ from annulus_pipe.export.stations import radii_of_stations
 from annulus_pipe.export.tally import clock_time
 from annulus_pipe.extras import need
 from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, digits, quoted, span
-from annulus_pipe.storage.results_folder import Place
+from annulus_pipe.storage.results_folder import ListedPlace
 
 OUTLINES_MAX = 120  # stations drawn: evenly chosen, for a CAD program's sake
 LABEL = 0.024  # height of a text, of the circumference
@@ -146,7 +146,7 @@ class _Plan:
             "PLAN-TEXT",
         )
 
-    def _draw_place(self, name: str, place: Place, layer: str) -> None:
+    def _draw_place(self, name: str, place: ListedPlace, layer: str) -> None:
         first, last = (min(max(z, self.first), self.last) for z in (place.z_from_mm, place.z_to_mm))
         begin = 0.0 if place.is_all_round else place.clock_deg - place.arc_deg / 2
         for low, high in _within_circle(begin, place.arc_deg):
@@ -216,7 +216,7 @@ def _within_circle(begin: float, arc: float) -> list[tuple[float, float]]:
     return [(begin, end)] if end <= 360.0 else [(begin, 360.0), (0.0, end - 360.0)]
 
 
-def _described(place: Place) -> str:
+def _described(place: ListedPlace) -> str:
     out = place.kind
     if place.depth_mm is not None:
         out += f" {quoted(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=not place.floor_seen)} (k=2)"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.export.ply import Ply, open_ply
-from annulus_pipe.export.wall_map import WallMap, read_wall
+from annulus_pipe.export.wall_map import DeviationMap, read_wall
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.storage.results_folder import (
     JSON_MAX,
@@ -22,7 +22,7 @@ from annulus_pipe.storage.results_folder import (
     STATIONS,
     SUMMARY,
     TEXT_MAX,
-    Place,
+    ListedPlace,
     figures,
     places,
     read_stations,
@@ -64,9 +64,9 @@ class Results:
     scanned_mm: tuple[float, float]
     nominal_mm: float
     figures: Mapping[str, float]  # of the whole pipe, by their names in the summary
-    defects: tuple[Place, ...]
-    features: tuple[Place, ...]
-    undecided: tuple[Place, ...]
+    defects: tuple[ListedPlace, ...]
+    features: tuple[ListedPlace, ...]
+    undecided: tuple[ListedPlace, ...]
     observations: tuple[Marked, ...]
     warnings: tuple[str, ...]
     stations: Mapping[str, FloatArray]  # column -> (S,), NaN where empty
@@ -84,7 +84,7 @@ class Results:
         return self._ply("mesh.ply", MESH_FIELDS)
 
     @cached_property
-    def wall(self) -> WallMap:
+    def wall(self) -> DeviationMap:
         path = self.folder / "wall.npz"
         try:
             return read_wall(path)

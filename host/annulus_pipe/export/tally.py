@@ -27,7 +27,7 @@ from annulus_pipe.numeric.rounding import (
     digits_k2,
     quoted,
 )
-from annulus_pipe.storage.results_folder import Place
+from annulus_pipe.storage.results_folder import ListedPlace
 
 EDITION = (
     "Pipeline Operators Forum, Specifications and requirements for in-line inspection of pipelines, edition 2016, "
@@ -126,7 +126,9 @@ def tally(results: Results) -> list[list[Cell]]:
     return [[*_theirs(one, note, results, joints, bends), *_own(name, one)] for name, one, note in named]
 
 
-def _theirs(one: Place, note: str, results: Results, joints: Sequence[Place], bends: Sequence[Place]) -> list[Cell]:
+def _theirs(
+    one: ListedPlace, note: str, results: Results, joints: Sequence[ListedPlace], bends: Sequence[ListedPlace]
+) -> list[Cell]:
     kind, identity = _TYPES.get(one.kind, (one.kind.capitalize(), one.kind.capitalize()))
     if one.kind == "joint" and "fusion" in one.remark:
         kind = "Weld"  # a socket's joint is none
@@ -166,7 +168,7 @@ def _measure(name: str, value: float, k2: float | None) -> str:
     return f"{what.replace('_', ' ')} {quoted(value, Quantity(unit, MEASURE.places), k2)}"
 
 
-def _own(name: str, one: Place) -> list[Cell]:
+def _own(name: str, one: ListedPlace) -> list[Cell]:
     half = one.arc_deg / 2
     known = not one.is_all_round
     return [

@@ -19,7 +19,7 @@ MM_MAX = 1e8  # 100 km
 
 
 @dataclass(frozen=True, slots=True)
-class WallMap:
+class DeviationMap:
     """deviation_um (Z, A) int16 from the radius `radius_mm`; z_mm (Z,) rising evenly, clock_deg (A,) cell centres."""
 
     deviation_um: NDArray[np.int16]
@@ -35,7 +35,7 @@ class WallMap:
         return np.where(known, self.radius_mm + 1e-3 * part, np.nan)
 
 
-def read_wall(path: Path) -> WallMap:
+def read_wall(path: Path) -> DeviationMap:
     """The map as `reconstruct` wrote it."""
     if path.exists() and not path.is_file():
         raise ValueError("not a file")
@@ -69,4 +69,4 @@ def read_wall(path: Path) -> WallMap:
         raise ValueError("z_step_mm and radius_mm must be one number each")
     step_mm = within(float(step), "z_step_mm", 1e-3, 1e6)
     radius_mm = within(float(radius), "radius_mm", 1.0, 1e5)
-    return WallMap(deviation, z.astype(np.float64), clock.astype(np.float64), step_mm, radius_mm)
+    return DeviationMap(deviation, z.astype(np.float64), clock.astype(np.float64), step_mm, radius_mm)

@@ -68,7 +68,7 @@ class Identity:
 
 
 @dataclass(frozen=True, slots=True)
-class Image:
+class FlashImage:
     """Flash contents from FLASH_START on, whole pages; gaps are as erased, as uf2.py fills them."""
 
     name: str
@@ -90,7 +90,7 @@ class Application:
     board: str
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path) -> FlashImage:
     """The image in a UF2 or ELF file, checked. AnnulusError says what is wrong with it."""
     try:
         content = read_file(path, FILE_MAX)
@@ -101,7 +101,7 @@ def read_image(path: Path) -> Image:
     return parse_image(content, str(path))
 
 
-def parse_image(content: bytes, name: str) -> Image:
+def parse_image(content: bytes, name: str) -> FlashImage:
     """As `read_image`, from bytes."""
     if content[:4] == b"\x7fELF":
         pages, chip = _elf_pages(content, name), None
@@ -113,7 +113,7 @@ def parse_image(content: bytes, name: str) -> Image:
     if chip is None:  # an ELF says no family
         chip = RP2350 if _IMAGE_DEF in data[:IMAGE_DEF_WITHIN] else RP2040
     _require_bootable(data, name, chip)
-    image = Image(name, data, _identity(data), chip)
+    image = FlashImage(name, data, _identity(data), chip)
     if has_application(image):  # a debugger's ELF leaves the records out
         image = replace(image, data=data.ljust(RECORDS_END, b"\xff"))
         application(image)  # over USB as well: nobody should have to find it in the boot ROM
@@ -123,7 +123,7 @@ def parse_image(content: bytes, name: str) -> Image:
     return image
 
 
-def require_ours(image: Image) -> None:
+def require_ours(image: FlashImage) -> None:
     """AnnulusError unless it is an annulus controller for this board that this host can talk to."""
     who = image.identity
     if who is None:
@@ -139,12 +139,12 @@ def require_ours(image: Image) -> None:
         )
 
 
-def has_application(image: Image) -> bool:
+def has_application(image: FlashImage) -> bool:
     """Whether it is made of a loader and an application; images from before that are not."""
     return image.identity is not None and bool(_IDENTITY.match(image.data, APPLICATION_AT + APPLICATION_SIZE_AT + 4))
 
 
-def application(image: Image) -> Application:
+def application(image: FlashImage) -> Application:
     """What of an image a controller takes over its line: all but the loader in the first sector.
 
     AnnulusError for an image that has none, as those before the loader, or whose CRC says that it is damaged.

@@ -59,7 +59,7 @@ class CommandId(IntEnum):
     REBOOT2 = 0x0A  # of an RP2350, which knows no REBOOT
 
 
-class StatusCode(IntEnum):
+class PicoBootStatus(IntEnum):
     OK = 0
     UNKNOWN_CMD = 1
     INVALID_CMD_LENGTH = 2
@@ -91,7 +91,7 @@ class CommandStatus:
 
     @property
     def text(self) -> str:
-        return StatusCode(self.code).name.lower() if self.code in set(StatusCode) else f"status {self.code}"
+        return PicoBootStatus(self.code).name.lower() if self.code in set(PicoBootStatus) else f"status {self.code}"
 
 
 def command(identity: CommandId, token: int, arguments: bytes = b"", transfer: int = 0) -> bytes:
@@ -291,7 +291,7 @@ class _Gone(AnnulusError):
     """The board left the bus."""
 
 
-class Flash(Protocol):
+class FlashMemory(Protocol):
     """What `write_flash` needs of a PicoBoot."""
 
     def exclusive_access(self) -> None: ...
@@ -305,7 +305,7 @@ class Flash(Protocol):
     def read(self, address: int, size: int) -> bytes: ...
 
 
-def write_flash(boot: Flash, data: bytes, progress: Callable[[str, int, int], None] | None = None) -> None:
+def write_flash(boot: FlashMemory, data: bytes, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Put whole pages from FLASH_START on and read all of them back.
 
     The first sector is erased first and its first page, without which the boot ROM starts nothing, is written last,
@@ -332,7 +332,7 @@ def write_flash(boot: Flash, data: bytes, progress: Callable[[str, int, int], No
     _compare(boot, 0, data[:PAGE_BYTES])
 
 
-def _compare(boot: Flash, begin: int, wanted: bytes) -> None:
+def _compare(boot: FlashMemory, begin: int, wanted: bytes) -> None:
     found = boot.read(FLASH_START + begin, len(wanted))
     if found != wanted:
         at = next(i for i, pair in enumerate(zip(found, wanted, strict=True)) if pair[0] != pair[1])

@@ -19,7 +19,7 @@ from typing import Any
 from serial.tools import list_ports
 
 from annulus_pipe.flash.chips import CHIPS, RP2040, Chip
-from annulus_pipe.flash.image import FLASH_START, PAGE_BYTES, Image, application, has_application, parse_image
+from annulus_pipe.flash.image import FLASH_START, PAGE_BYTES, FlashImage, application, has_application, parse_image
 from annulus_pipe.flash.over_line import write_over_line
 from annulus_pipe.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus_pipe.link.client import Client
@@ -70,7 +70,7 @@ class Flashed:
 
 
 # ---- looking ---------------------------------------------------------------------------------------------------------
-def image_fields(image: Image) -> dict[str, object]:
+def image_fields(image: FlashImage) -> dict[str, object]:
     """What an image file holds, for people and programs."""
     who = image.identity
     return {
@@ -134,7 +134,7 @@ def boot_loader_fields(backend: Any = None) -> list[dict[str, object]]:
 
 # ---- flashing --------------------------------------------------------------------------------------------------------
 def flash(
-    image: Image,
+    image: FlashImage,
     *,
     port: str | None = None,
     board: str | None = None,
@@ -190,7 +190,7 @@ def flash(
     return _flashed(image, how, where, None if port is None else await_firmware(port, image))
 
 
-def _flashed(image: Image, how: str, where: str, running: str | None) -> Flashed:
+def _flashed(image: FlashImage, how: str, where: str, running: str | None) -> Flashed:
     who = image.identity
     version = f"{who.version} {who.git}" if who else "not annulus"
     return Flashed(image.name, version, len(image.data), how, where, how != "drive", running)
@@ -264,7 +264,7 @@ def _await_boot_loader(known: set[str], place: str | None, board: str | None, ba
     return choose(arrived, board, chip)
 
 
-def await_firmware(port: str, image: Image) -> str:
+def await_firmware(port: str, image: FlashImage) -> str:
     """The commit of the firmware that answers after a restart. AnnulusError when none does, or another one."""
     last = ""
     who: IdentifyReply | None = None
@@ -291,7 +291,7 @@ def await_firmware(port: str, image: Image) -> str:
 
 
 # ---- the drive -------------------------------------------------------------------------------------------------------
-def to_uf2(image: Image) -> bytes:
+def to_uf2(image: FlashImage) -> bytes:
     """The image as the boot ROM's drive takes it: 256 bytes in every block of 512."""
     pages = range(0, len(image.data), PAGE_BYTES)
     blocks = []
@@ -339,7 +339,7 @@ def chip_there(port: str | None = None, serial: str | None = None, drive: Path |
     return next((chip for chip in CHIPS if waiting == {chip.board}), RP2040)
 
 
-def copy_to_drive(image: Image, drive: Path, *, progress: Progress | None = None) -> None:
+def copy_to_drive(image: FlashImage, drive: Path, *, progress: Progress | None = None) -> None:
     """Copy to a board's drive and wait until the board has left it, which it does when it has the whole image."""
     chip = drive_chip(drive)
     if chip is None:

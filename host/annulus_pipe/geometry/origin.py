@@ -34,7 +34,7 @@ class Markers:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TargetLayout:
     """A ChArUco target as OpenCV lays it out: squares each way, markers row by row in the light ones. `first_light`:
     the first square is light (of an even number of rows, made before OpenCV 4.6)."""
 
@@ -75,7 +75,7 @@ def from_markers(views: Sequence[TargetView], seen: Sequence[Markers], columns: 
     columns, rows : of its corners, in either order: the markers tell which way they run, and which layout it is.
     """
     layouts = [
-        Layout(across + 1, down + 1, first_light)
+        TargetLayout(across + 1, down + 1, first_light)
         for across, down in {(columns, rows), (rows, columns)}
         for first_light in (False, True)
     ]
@@ -87,7 +87,7 @@ def from_markers(views: Sequence[TargetView], seen: Sequence[Markers], columns: 
     ]
 
 
-def _placed(view: TargetView, markers: Markers, layout: Layout) -> tuple[int, TargetView]:
+def _placed(view: TargetView, markers: Markers, layout: TargetLayout) -> tuple[int, TargetView]:
     """How many markers agree on where the view's corners belong, and it numbered so; 0 where most do not."""
     place = {(int(x), int(y)): at for (x, y), at in zip(view.cells, view.pixels, strict=True)}
     whole = [(x, y) for x, y in place if all(other in place for other in ((x + 1, y), (x, y + 1), (x + 1, y + 1)))]
@@ -114,14 +114,14 @@ def _placed(view: TargetView, markers: Markers, layout: Layout) -> tuple[int, Ta
     return (best, out) if 2 * best > len(squares) else (0, view)
 
 
-def _inside(view: TargetView, layout: Layout) -> TargetView:
+def _inside(view: TargetView, layout: TargetLayout) -> TargetView:
     """Without corners the target does not have: clutter sometimes adds a row."""
     good = np.all((view.cells >= 0) & (view.cells < [layout.columns - 1, layout.rows - 1]), axis=1)
     return replace(view, cells=view.cells[good], pixels=view.pixels[good], own_origin=True)
 
 
 @lru_cache(maxsize=8)
-def _light_squares(layout: Layout) -> NDArray[np.int64]:
+def _light_squares(layout: TargetLayout) -> NDArray[np.int64]:
     """(N, 2) column and row of the squares that have markers, by the markers' numbers."""
     y, x = np.divmod(np.arange(layout.columns * layout.rows), layout.columns)
     light = (x + y) % 2 == (0 if layout.first_light else 1)

@@ -38,7 +38,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedCamera:
     """A second camera in the first one's frame: x = rotation x_own + centre_mm. covariance (6, 6): of a small turn of
     it about the first one's x, y, z, rad, and of the centre, mm. rms_px: (M,) of each moment; `used` (M,)."""
 
@@ -59,7 +59,7 @@ class _State:
     shifts: FloatArray  # (M, 3)
 
 
-def place_second(first: Intrinsics, second: Intrinsics, moments: Sequence[Moment]) -> Placed:
+def place_second(first: Intrinsics, second: Intrinsics, moments: Sequence[Moment]) -> PlacedCamera:
     """Raises AnnulusError, one line, where fewer than three moments, or less than half of them, agree."""
     if len(moments) < LEAST:
         raise AnnulusError(f"{len(moments)} moments at which both cameras show the target, expected at least {LEAST}")
@@ -80,7 +80,7 @@ def place_second(first: Intrinsics, second: Intrinsics, moments: Sequence[Moment
             "are the photographs of the same moments, in the same order, and the cameras fixed to each other?"
         )
     turn = state.rotation.T
-    return Placed(turn, -turn @ state.shift, _covariance(first, second, moments, pairs, state, used), rms, used)
+    return PlacedCamera(turn, -turn @ state.shift, _covariance(first, second, moments, pairs, state, used), rms, used)
 
 
 def _begin(
@@ -210,8 +210,8 @@ def _covariance(
     state: _State,
     used: NDArray[np.bool_],
 ) -> FloatArray:
-    """Of the small turn and the centre: see `Placed`. A moment left out moves the placement by what it says of it, and
-    by what it, and a photograph without a partner, says of its lens."""
+    """Of the small turn and the centre: see `PlacedCamera`. A moment left out moves the placement by what it says of
+    it, and by what it, and a photograph without a partner, says of its lens."""
     lenses = first.moves.shape[1] + second.moves.shape[1]
     information, pulls = np.zeros((len(pairs), 6, 6)), np.zeros((len(pairs), 6))
     across = np.zeros((6, lenses))

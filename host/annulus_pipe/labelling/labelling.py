@@ -16,7 +16,7 @@ from typing import Any
 from annulus_pipe.capture.offset import Offset, calibrate_offset
 from annulus_pipe.capture.pairing import Labelled, Pairing
 from annulus_pipe.capture.photometry import Light
-from annulus_pipe.capture.proof import State, Witness
+from annulus_pipe.capture.proof import ProofState, Witness
 from annulus_pipe.capture.seen import FrameSeen as FrameSeen
 from annulus_pipe.capture.witnesses import PICTURES_KEPT
 from annulus_pipe.controller import TICK_NS
@@ -79,7 +79,7 @@ class Labelling:
     @property
     def offset_known(self) -> bool:
         """Whether frames get their verdict as they come, and need not wait for the search."""
-        return self._alone or self._pairing.state is not State.SEARCHING
+        return self._alone or self._pairing.state is not ProofState.SEARCHING
 
     @property
     def wants_preamble(self) -> bool:
@@ -87,7 +87,7 @@ class Labelling:
         return not self._alone and self._pairing.doubtful and not self._pairing.passing
 
     @property
-    def state(self) -> State:
+    def state(self) -> ProofState:
         return self._pairing.state
 
     def numbers(self) -> dict[str, Any]:
@@ -234,7 +234,7 @@ class Labelling:
     def _verdict(self, frame: FrameSeen) -> Labelled:
         before = self._pairing.state
         labelled = self._pairing.label(frame)
-        if before is State.PROVED and self._pairing.state is not State.PROVED:
+        if before is ProofState.PROVED and self._pairing.state is not ProofState.PROVED:
             self._seen.clear()  # a search, should it come to that, is not to be misled by what was before
         return labelled
 

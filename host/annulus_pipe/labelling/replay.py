@@ -28,7 +28,7 @@ from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.link.head import EdgeSeen, LampsCut
 from annulus_pipe.link.messages import Fault, FaultCode
 from annulus_pipe.link.session import EventReceived
-from annulus_pipe.sensors.odometer import ANYWHERE_MM, CUT_SEGMENT, Odometer, Place
+from annulus_pipe.sensors.odometer import ANYWHERE_MM, CUT_SEGMENT, FlashPosition, Odometer
 from annulus_pipe.stream.frames import SIDE_MAX, FrameHeader
 from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
@@ -41,7 +41,7 @@ ASIDE = frozenset({"unplaced", "ping", "answer", "unanswered", "rebooted", "even
 CUT_PERIODS = 3.0  # so long after it a cut of the lamps may be heard of, as an edge may (pairing.SETTLE_PERIODS)
 
 
-class _Camera:
+class _ReplayedCamera:
     def __init__(self, mode: CameraMode, navigation: Navigation, alone: bool, looks: bool, preambles: bool) -> None:
         """`looks`: for an offset, with every frame; else when a row says that the head did. `preambles`: there are."""
         self.mode, self.alone, self.looks, self.preambles = mode, alone, looks, preambles
@@ -69,7 +69,7 @@ class Replay:
         self.malformed = 0
         self._patience_ns = patience_ns
         self._navigation = Navigation(1.0)
-        self._cameras: dict[int, _Camera] = {}
+        self._cameras: dict[int, _ReplayedCamera] = {}
         self._begun = False  # something has come that was not known before
         self._placed = False  # the odometer is the head's
         self._cuts = 0
@@ -93,7 +93,7 @@ class Replay:
         self._cuts += 1
         self._begun = self._wants_odometer = self._in_hole = True
         for camera in self._cameras.values():
-            began = _Camera(camera.mode, self._navigation, camera.alone, True, camera.preambles)
+            began = _ReplayedCamera(camera.mode, self._navigation, camera.alone, True, camera.preambles)
             began.in_the_dark(self._navigation)
             self._cameras[camera.mode.camera] = began
         return labels
@@ -122,7 +122,7 @@ class Replay:
                 if self._placed and not (again and mode.camera in self._cameras):
                     looks = self._cuts > 0 or self._patience_ns > 0
                     preambles = bool(row.get("preambles", False))  # recordings before 2026-11-27 do not say
-                    began = _Camera(mode, navigation, bool(row["alone"]), looks, preambles)
+                    began = _ReplayedCamera(mode, navigation, bool(row["alone"]), looks, preambles)
                     self._cameras[mode.camera] = began
                     if self._cuts:
                         began.in_the_dark(navigation)
@@ -159,7 +159,7 @@ class Replay:
             case _ if what not in ASIDE:
                 raise ValueError("a row of a kind that is none")
 
-    def _frame(self, frame: FrameSeen, camera: _Camera | None) -> Iterator[Said]:
+    def _frame(self, frame: FrameSeen, camera: _ReplayedCamera | None) -> Iterator[Said]:
         if camera is None:
             return
         if self._in_hole and not camera.alone:  # the lamps may have been cut in the hole, too
@@ -184,7 +184,7 @@ class Replay:
         camera.due.append((row, camera.seen.popleft()))
         yield from self._patient(camera)
 
-    def _patient(self, camera: _Camera, final: bool = False) -> Iterator[Said]:
+    def _patient(self, camera: _ReplayedCamera, final: bool = False) -> Iterator[Said]:
         while camera.due:
             row, frame = camera.due[0]
             late = camera.now_ns - frame.arrived_ns >= self._patience_ns
@@ -202,7 +202,7 @@ class Replay:
         try:
             segment = untrusted.whole(row["segment"], "segment", 0, CUT_SEGMENT - 1)
             bound_mm = untrusted.within(row["z_bound_mm"], "z_bound_mm", 0.0, ANYWHERE_MM)
-            place = Place(_number(row, "z_mm"), segment, bound_mm)
+            place = FlashPosition(_number(row, "z_mm"), segment, bound_mm)
         except (KeyError, ValueError):
             return now
         if self._navigation.odometer.counted_on(now.edge, now.odometer, place) is None:

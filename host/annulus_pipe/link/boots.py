@@ -2,7 +2,7 @@
 
 A loss of power leaves the boot byte as it was once in 256 times. On USB the plug tells; on the UART nothing does, and
 the one event that would, `booted`, may be lost. So whatever only grows is watched: the count of edges, and time.
-`Session` watches the sequence of events, and a nonce settles it (protocol/README.md, Identity).
+`LinkSession` watches the sequence of events, and a nonce settles it (protocol/README.md, Identity).
 """
 
 from annulus_pipe.controller import TICK_NS

@@ -16,7 +16,7 @@ from annulus_pipe.link.head import PING_NS
 from annulus_pipe.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
 from annulus_pipe.link.port import BAUD, READ_S, Port
 from annulus_pipe.link.problems import refusal, schema_problem, too_old
-from annulus_pipe.link.session import Answer, LinkEvent, Session, Unanswered, identify
+from annulus_pipe.link.session import Answer, LinkEvent, LinkSession, Unanswered, identify
 from annulus_pipe.vocabulary import AnnulusError
 
 IDENTIFY_S = 1.0
@@ -29,7 +29,7 @@ class Client:
 
     def __init__(self, url: str, *, timeout_s: float = IDENTIFY_S, diagnostics: bool = False) -> None:
         """Open and identify. `diagnostics`: a controller with another schema is accepted (it will refuse to arm)."""
-        self.session = Session()
+        self.session = LinkSession()
         self.dropped = 0  # happenings nobody polled
         self._next_ping_ns = 0
         self._happenings: deque[LinkEvent] = deque(maxlen=HAPPENINGS_MAX)

@@ -25,7 +25,7 @@ _HEADER = {  # .. by id
 _BYTES = tuple(bytes((value,)) for value in range(256))
 
 
-class Why(StrEnum):
+class CorruptReason(StrEnum):
     """What was wrong with bytes that came."""
 
     COBS = "cobs"  # a code byte points past the frame
@@ -49,7 +49,7 @@ class Frame:
 class Corrupt:
     """Bytes up to a delimiter that were no message."""
 
-    why: Why
+    why: CorruptReason
     size: int  # bytes without the delimiter
 
 
@@ -86,26 +86,26 @@ def encode(frame: Frame) -> bytes:
 def decode(stuffed: bytes, accepted: Mapping[int, type[Message]] = TO_HOST) -> Frame | Corrupt | Unknown:
     """One frame without its delimiter. Never raises: whatever comes, it is a Frame, Unknown or Corrupt."""
     if len(stuffed) >= MAX_WIRE:
-        return Corrupt(Why.TOO_LONG, len(stuffed))
+        return Corrupt(CorruptReason.TOO_LONG, len(stuffed))
     body = _unstuff(stuffed)
     if body is None:
-        return Corrupt(Why.COBS, len(stuffed))
+        return Corrupt(CorruptReason.COBS, len(stuffed))
     if len(body) < 2 + _CRC_BYTES:
-        return Corrupt(Why.LENGTH, len(stuffed))
+        return Corrupt(CorruptReason.LENGTH, len(stuffed))
     kind = accepted.get(body[0])
     if kind is None:
         newer = body[0] >= REPLY_BIT and accepted is TO_HOST and _is_whole(body)
-        return _unknown(body) if newer else Corrupt(Why.ID, len(stuffed))
+        return _unknown(body) if newer else Corrupt(CorruptReason.ID, len(stuffed))
     header = _HEADER[body[0]]
     if len(body) != header + kind.LENGTH + _CRC_BYTES:
-        return Corrupt(Why.LENGTH, len(stuffed))
+        return Corrupt(CorruptReason.LENGTH, len(stuffed))
     content, crc = body[:-_CRC_BYTES], int.from_bytes(body[-_CRC_BYTES:], "little")
     if crc16(content, kind.SCHEMA_BYTE) != crc:
-        return Corrupt(Why.CRC, len(stuffed))
+        return Corrupt(CorruptReason.CRC, len(stuffed))
     try:
         message = kind.unpack(content[header:])
     except ValueError:
-        return _unknown(body) if accepted is TO_HOST else Corrupt(Why.VALUE, len(stuffed))
+        return _unknown(body) if accepted is TO_HOST else Corrupt(CorruptReason.VALUE, len(stuffed))
     sequence = int.from_bytes(content[1:3], "little") if header == 4 else content[1] if header == 2 else 0
     return Frame(message, sequence, content[3] if header == 4 else 0)
 
@@ -131,7 +131,7 @@ class Decoder:
                 continue
             self._hold(part)
             if self._dropped:
-                found.append(Corrupt(Why.TOO_LONG, self._dropped + len(self._held)))
+                found.append(Corrupt(CorruptReason.TOO_LONG, self._dropped + len(self._held)))
             elif self._held:
                 found.append(decode(bytes(self._held), self._accepted))
             self._held.clear()

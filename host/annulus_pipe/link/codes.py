@@ -48,7 +48,7 @@ def text(chips: Chips) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class LimitCheck:
     """One limit against this train."""
 
     name: str
@@ -98,15 +98,15 @@ class Train:
         rises, falls = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
         return np.stack((rises, falls - rises), axis=1) * self.chip_ticks
 
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[LimitCheck]:
         """Every limit and how this train stands against it, in the order in which the controller looks."""
 
-        def us(name: str, ticks: int, low: int, high: int) -> Finding:
-            return Finding(name, ticks / TICKS_PER_US, (low / TICKS_PER_US, high / TICKS_PER_US), "us")
+        def us(name: str, ticks: int, low: int, high: int) -> LimitCheck:
+            return LimitCheck(name, ticks / TICKS_PER_US, (low / TICKS_PER_US, high / TICKS_PER_US), "us")
 
         lengths = self.pulses_ticks[:, 1]
         found = [
-            Finding("repeat", self.repeat, (1, BURST_REPEAT_MAX), "bursts"),
+            LimitCheck("repeat", self.repeat, (1, BURST_REPEAT_MAX), "bursts"),
             us("chip", self.chip_ticks, CHIP_MIN_TICKS, CHIP_MAX_TICKS),
             us(
                 "period",
@@ -124,7 +124,7 @@ class Train:
         if len(lengths):
             for name, ticks in (("shortest pulse", lengths.min()), ("longest pulse", lengths.max())):
                 found.append(us(name, int(ticks), MICROWAVE_PULSE_MIN_TICKS, MICROWAVE_PULSE_MAX_TICKS))
-        return [*found, Finding("duty", 1000 * self.duty, (0, MICROWAVE_DUTY_MAX_PERMILLE), "permille")]
+        return [*found, LimitCheck("duty", 1000 * self.duty, (0, MICROWAVE_DUTY_MAX_PERMILLE), "permille")]
 
     def check(self) -> None:
         """AnnulusError with every limit a controller would refuse this train for."""

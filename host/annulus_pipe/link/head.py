@@ -54,7 +54,7 @@ from annulus_pipe.link.problems import (
     schema_problem,
     too_old,
 )
-from annulus_pipe.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
+from annulus_pipe.link.session import Answer, EventReceived, LinkEvent, LinkSession, Rebooted, Unanswered, identify
 from annulus_pipe.vocabulary import EdgeFlag, EdgeIndex, Flash, Slot, Tick
 
 PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
@@ -115,7 +115,7 @@ def flash_from(edge: Edge, tick: Tick, boot: int, epoch: int = 0) -> Flash:
 
 
 class HeadControl:
-    """Drives one Session. What it armed it arms again after a reset or a fault; not after a stop that somebody else
+    """Drives one LinkSession. What it armed it arms again after a reset or a fault; not after a stop that somebody else
     ordered, over this line or another.
     """
 
@@ -132,7 +132,7 @@ class HeadControl:
         the controller has them. `pins`: what the wiring wants of them; where that is anything, a controller that does
         not know of it is not armed. `interlock`: its inputs, likewise; None leaves them as they are.
         """
-        self.session = Session()
+        self.session = LinkSession()
         self.clock = ClockMap()
         self.phase = Phase.SEARCHING
         self.problem = ""  # why the phase is REFUSED or MISMATCH, or what is being waited for
@@ -203,7 +203,7 @@ class HeadControl:
     # ---- bytes in, bytes out ----
 
     def receive(self, data: bytes, now: int) -> list[HeadEvent]:
-        """What these bytes and the passing of time bring. Session's happenings are among it, for whoever logs them."""
+        """What these bytes and the passing of time bring. Happenings of the session are among it, for who logs them."""
         happenings = self.session.receive(data, now) + self.session.expire(now)
         for happening in happenings:
             self._news_of(happening, now)

@@ -304,7 +304,7 @@ def fire_burst(port: str, pattern: Pattern | None, burst: Burst) -> dict[str, ob
     }
 
 
-class Train(Protocol):
+class BurstTrain(Protocol):
     """Bursts as they are to be sent, in ticks; thermoacoustic.codes has one that knows the limits."""
 
     @property
@@ -320,7 +320,7 @@ class Train(Protocol):
     def trigger_offset_ticks(self) -> int: ...
 
 
-def train_messages(code: str, train: Train) -> tuple[Pattern | None, Burst]:
+def train_messages(code: str, train: BurstTrain) -> tuple[Pattern | None, Burst]:
     """A train on the wire, and the pattern to upload before it if the code is a text of 0 and 1, none built in."""
     pattern = None if code in CODES else _pattern(code)
     number = BurstCode.UPLOADED if pattern else BurstCode[code.upper().replace("-", "_")]

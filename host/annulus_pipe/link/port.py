@@ -49,7 +49,7 @@ class Port:
     """
 
     def __init__(self, url: str) -> None:
-        """Waits as long as opening takes: for a host that does not answer 5 s, see `Opening`."""
+        """Waits as long as opening takes: for a host that does not answer 5 s, see `PortOpening`."""
         self.url = url
         self.bytes_read = 0
         self.waitable: int | None  # readable when bytes have come; None: only `read` can wait for them
@@ -144,7 +144,7 @@ class Port:
         self._serial.close()
 
 
-class Opening:
+class PortOpening:
     """A port on its way, for a loop that must not wait: names are looked up, hosts called and drivers opened in a
     thread of its own, which ends with that.
     """

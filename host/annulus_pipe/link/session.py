@@ -1,6 +1,6 @@
 """The conversation with one controller, sans-I/O: no port, no clock, no thread.
 
-    session = Session()
+    session = LinkSession()
     ticket = session.send(Ping())
     while True:
         for event in session.receive(port.read(), now):  # Answer, EventReceived, EventsLost, Corrupt, Rebooted, ..
@@ -148,7 +148,7 @@ class _Missing:
     tries: int = 0
 
 
-class Session:
+class LinkSession:
     """The host's side of the wire. Begin with `send(identify())`: it makes the controller forget older sessions too."""
 
     def __init__(self) -> None:

@@ -55,7 +55,7 @@ Piece = bytes | bytearray | memoryview
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class ChannelForm:
     """What the messages of a channel are."""
 
     name: str
@@ -253,7 +253,7 @@ class Container:
         """Why the last write did not succeed."""
         return self._whole.failure
 
-    def channel(self, topic: str, encoding: str, form: Form) -> int:
+    def channel(self, topic: str, encoding: str, form: ChannelForm) -> int:
         """The number of a topic's channel, said before its first message."""
         key = topic, form.name
         if key not in self._channels:
@@ -387,7 +387,7 @@ class Container:
         )
         self.attach(time_ns, index.NAME, index.pack(head), _PACKED)
 
-    def _said_of(self, number: int, topic: str, encoding: str, form: Form) -> Channel:
+    def _said_of(self, number: int, topic: str, encoding: str, form: ChannelForm) -> Channel:
         schema = self._schemas[form.name].id
         return Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema)
 

@@ -22,7 +22,7 @@ from annulus_pipe.record.frames import (
 )
 from annulus_pipe.record.index import Notes
 from annulus_pipe.record.indexed import Indexed
-from annulus_pipe.record.walk import Channel, DamagedError, Message, piece
+from annulus_pipe.record.walk import Channel, DamagedError, MessageLocation, piece
 from annulus_pipe.vocabulary import Label
 
 _HEAD = struct.Struct("<BQHIQQ")  # of a message: opcode, length, channel, sequence, log time, publish time
@@ -36,7 +36,9 @@ class Followed:
 
     channels: Mapping[int, Channel]
     notes: Notes
-    apart: Mapping[tuple[int, int], Message]  # labels that lie in another chunk than their frame: other programs' files
+    apart: Mapping[
+        tuple[int, int], MessageLocation
+    ]  # labels that lie in another chunk than their frame: other programs' files
 
     def bare(self) -> "Followed":
         """What frames are held against, without the notes."""
@@ -105,7 +107,7 @@ class Followed:
 
 
 def followed(
-    found: Indexed, frames: Sequence[RecordedFrame], labels: Labels, notes: Mapping[str, Sequence[Message]]
+    found: Indexed, frames: Sequence[RecordedFrame], labels: Labels, notes: Mapping[str, Sequence[MessageLocation]]
 ) -> Followed | None:
     """None where an index has more than one frame or label of a name: only a walk says which of them counts."""
     cameras = {number for number, one in found.channels.items() if camera_of(one.topic) is not None}

@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from annulus_pipe import untrusted
 from annulus_pipe.record.index import Contents
-from annulus_pipe.record.walk import Chunk, Message
+from annulus_pipe.record.walk import Chunk, MessageLocation
 from annulus_pipe.vocabulary import AnnulusError, Label
 
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
@@ -113,12 +113,12 @@ def camera_of_label(label: object) -> int:
     return untrusted.whole(untrusted.mapping(label, "label").get("camera", 0), "label: camera", 0, CAMERA_ID_MAX)
 
 
-def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[str, tuple[Message, ...]]]:
+def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[str, tuple[MessageLocation, ...]]]:
     """What was walked over as frames, their labels, and notes by topic. Raises TwoScansError."""
-    images: dict[tuple[int, int], Message] = {}
+    images: dict[tuple[int, int], MessageLocation] = {}
     labels: Labels = {}
     labelled: dict[tuple[int, int], Chunk | None] = {}
-    notes: dict[str, list[Message]] = {}
+    notes: dict[str, list[MessageLocation]] = {}
     for message in walk.messages:
         channel = walk.channels.get(message.channel)
         topic = "" if channel is None else channel.topic
@@ -167,7 +167,7 @@ def _both_sound(walk: Contents, one: Chunk | None, other: Chunk | None) -> bool:
     return walk.look_at(one) and walk.look_at(other)
 
 
-def _later(message: Message, label: Mapping[str, Any]) -> int | None:
+def _later(message: MessageLocation, label: Mapping[str, Any]) -> int | None:
     """What a frame's message is later than its label says, ns: of one camera's frames always the same. None: not
     known.
     """
@@ -175,17 +175,17 @@ def _later(message: Message, label: Mapping[str, Any]) -> int | None:
     return message.time_ns - stamp_ns if type(stamp_ns) is int and message.time_ns else None  # 0: before 1970, cut off
 
 
-def _shift(message: Message, label: Mapping[str, Any]) -> int | None:
+def _shift(message: MessageLocation, label: Mapping[str, Any]) -> int | None:
     labelled = label.get("index")
     return message.sequence - labelled if type(labelled) is int else None
 
 
 def _check_one(
     walk: Contents,
-    witness: Callable[[Message, Mapping[str, Any]], int | None],
+    witness: Callable[[MessageLocation, Mapping[str, Any]], int | None],
     what: str,
     keys: list[tuple[int, int]],
-    images: Mapping[tuple[int, int], Message],
+    images: Mapping[tuple[int, int], MessageLocation],
     labels: Labels,
     labelled: Mapping[tuple[int, int], Chunk | None],
     apart: int = 0,
@@ -203,12 +203,12 @@ def _check_one(
         raise TwoScansError(f"{names[0]} and {names[1]}: {what}")
 
 
-def _is_jpeg(walk: Contents, message: Message) -> bool:
+def _is_jpeg(walk: Contents, message: MessageLocation) -> bool:
     channel = walk.channels.get(message.channel)
     return channel is not None and walk.schemas.get(channel.schema) == _JPEG
 
 
-def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
+def _frame(index: int, camera: int, image: MessageLocation, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
     known, z_mm, roll_deg, bound_mm, segment = place_of(label)
     return RecordedFrame(
         index,

@@ -27,7 +27,7 @@ import numpy as np
 import zstandard
 
 from annulus_pipe import untrusted
-from annulus_pipe.record.walk import Channel, Chunk, Damage, Message, piece
+from annulus_pipe.record.walk import Channel, Chunk, Damage, MessageLocation, piece
 
 NAME = "annulus.index"
 NOTES = "annulus.notes"
@@ -50,7 +50,7 @@ class Contents(Protocol):
 
     channels: dict[int, Channel]
     schemas: dict[int, str]
-    messages: list[Message]
+    messages: list[MessageLocation]
     chunks: list[Chunk]
     attachments: dict[str, bytes]
     damage: list[Damage]
@@ -59,7 +59,7 @@ class Contents(Protocol):
     data_crc: tuple[int, int] | None
     cut_messages: int | None
 
-    def content(self, message: Message) -> bytes:
+    def content(self, message: MessageLocation) -> bytes:
         """A message, believed; asked for once. ValueError where there is none."""
 
     def look_at(self, chunk: Chunk | None) -> bool:
@@ -259,7 +259,7 @@ def blocks_of(contents: Contents, label_topic: str, frames: str) -> tuple[dict[s
     numbers = {chunk.offset: number for number, chunk in enumerate(contents.chunks)}
     labels = {number for number, one in contents.channels.items() if one.topic == label_topic}
     asked = {n for n, one in contents.channels.items() if is_asked_for(one.topic, one.encoding, frames)}
-    rows: dict[int, list[Message]] = {}
+    rows: dict[int, list[MessageLocation]] = {}
     loose = not contents.chunks and bool(contents.messages)
     count = 0
     for message in contents.messages:

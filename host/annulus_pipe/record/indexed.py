@@ -34,7 +34,7 @@ from annulus_pipe.record.walk import (
     Chunk,
     Damage,
     DamagedError,
-    Message,
+    MessageLocation,
     piece,
 )
 
@@ -72,7 +72,7 @@ class Indexed:
         self.cut_messages: int | None = 0
         self.damage: list[Damage] = []
         self.chunks: list[Chunk] = []
-        self.messages: list[Message] = []
+        self.messages: list[MessageLocation] = []
         self._contents: dict[tuple[int, int], bytes] = {}
         self._looked_at: dict[int, bool] = {}
         self._allowed = Allowance()
@@ -119,7 +119,7 @@ class Indexed:
                 raise ValueError("index: a message with numbers that none has")
         first = len(self.chunks) - count
         found = [
-            Message(one[1], one[2], one[3], one[4], one[5], None if self._loose else fresh[one[0] - first])
+            MessageLocation(one[1], one[2], one[3], one[4], one[5], None if self._loose else fresh[one[0] - first])
             for one in zip(*(column.tolist() for column in row), strict=True)
         ]
         self.messages += found
@@ -148,7 +148,7 @@ class Indexed:
         ):
             raise ValueError("index: messages that lie outside their chunks")
 
-    def _take_labels(self, block: Mapping[str, Any], found: Sequence[Message]) -> None:
+    def _take_labels(self, block: Mapping[str, Any], found: Sequence[MessageLocation]) -> None:
         labels = [one for one in found if one.channel in self._labels]
         lengths = numbers(block.get("said"), len(labels)).tolist()
         content = block.get("labels")
@@ -160,7 +160,7 @@ class Indexed:
             self._contents[key] = content[at : at + length]
             at += length
 
-    def content(self, message: Message) -> bytes:
+    def content(self, message: MessageLocation) -> bytes:
         chunk = message.chunk
         known = self._contents.pop((-1 if chunk is None else chunk.offset, message.offset), None)
         if known is not None:

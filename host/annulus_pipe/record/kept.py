@@ -19,8 +19,8 @@ from annulus_pipe.record.frames import FRAME_TOPIC, LABEL_TOPIC
 from annulus_pipe.record.index import VERSION, blocks_of, pack, unpack
 from annulus_pipe.record.indexed import TAIL, Indexed
 from annulus_pipe.record.walk import ATTACHMENT_MAX, DAMAGE_MAX, Damage, Walk, piece
-from annulus_pipe.storage.place import Place, Where, read_whole
-from annulus_pipe.storage.remote import Told, Url
+from annulus_pipe.storage.place import StoragePath, Where, read_whole
+from annulus_pipe.storage.remote import StoreEntry, Url
 from annulus_pipe.vocabulary import AnnulusError
 
 KEEP_S = 2.0  # a walk over a local file that takes longer is kept; every one over a store
@@ -31,7 +31,7 @@ _LENGTH = struct.Struct("<Q")
 Stamp = list[Any]
 
 
-def stamp_of(path: Where, file: IO[bytes], size: int, known: Told | None) -> Stamp:
+def stamp_of(path: Where, file: IO[bytes], size: int, known: StoreEntry | None) -> Stamp:
     """What a file is known by: its bytes, when it was changed or its tag, the checksum of its end."""
     when = str(path.stat().st_mtime_ns) if isinstance(path, Path) else "" if known is None else known.tag
     start = max(0, size - TAIL)
@@ -59,7 +59,7 @@ def keep(path: Where, file: IO[bytes], stamp: Stamp, walk: Walk) -> Indexed | No
         with contextlib.suppress(OSError, AnnulusError):
             if isinstance(place, Path):
                 place.parent.mkdir(parents=True, exist_ok=True)
-            Place(place.parent).write(place.name, content)
+            StoragePath(place.parent).write(place.name, content)
             break
     return found
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.storage.place import Where, opened_file
-from annulus_pipe.storage.remote import Told, Url, listed, stat_remote
+from annulus_pipe.storage.remote import StoreEntry, Url, listed, stat_remote
 from annulus_pipe.vocabulary import AnnulusError
 
 PART_FILE = "part.json"
@@ -93,8 +93,8 @@ def grouped(names: Iterable[str]) -> dict[str, list[str]]:
 class Later:
     """The files that are parts after a first one by their names: number, place, what a store says of it."""
 
-    first: Told | None  # what it says of the first
-    others: tuple[tuple[int, Where, Told | None], ...]
+    first: StoreEntry | None  # what it says of the first
+    others: tuple[tuple[int, Where, StoreEntry | None], ...]
 
 
 def later_parts(first: Where) -> Later:
@@ -113,9 +113,9 @@ def later_parts(first: Where) -> Later:
     return Later(there[first.name], tuple((number, first.with_name(name), there[name]) for number, name in others))
 
 
-def _asked_for(first: Url) -> dict[str, Told]:
+def _asked_for(first: Url) -> dict[str, StoreEntry]:
     """One by one, as long as there is a next."""
-    found: dict[str, Told] = {}
+    found: dict[str, StoreEntry] = {}
     for number in range(1, PARTS_MAX + 1):
         name = first.name if number == 1 else f"{first.stem}-{number:03d}.mcap"
         try:
@@ -135,7 +135,7 @@ def _number_of(name: str, stem: str) -> int:
     return int(named[2]) if named and named[1] == stem and int(named[2]) > 1 else 0
 
 
-def part_of(path: Where, known: Told | None = None) -> Part | None:
+def part_of(path: Where, known: StoreEntry | None = None) -> Part | None:
     """Which part a file says it is, from its first records; None where it does not, or cannot be read."""
     try:
         with opened_file(path, known) as file:

@@ -53,9 +53,9 @@ from annulus_pipe.record.indexed import HEAD, Indexed, read_index
 from annulus_pipe.record.kept import is_kept, keep, kept_walk, stamp_of
 from annulus_pipe.record.one_scan import check_clock, check_one_scan
 from annulus_pipe.record.parts import PART_FILE, Part, later_parts, part_of
-from annulus_pipe.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
+from annulus_pipe.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, MessageLocation, Walk, piece
 from annulus_pipe.storage.place import Where, opened_file, where
-from annulus_pipe.storage.remote import RemoteFile, Told, UnreachableError, Url, remote_file
+from annulus_pipe.storage.remote import RemoteFile, StoreEntry, UnreachableError, Url, remote_file
 from annulus_pipe.stream.frames import CHANNELS, SIDE_MAX
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -77,7 +77,7 @@ class Recording:
     configuration: Mapping[str, Any] | None
     torn: bool
     _labels: Mapping[tuple[int, int], Mapping[str, Any]] = field(repr=False)  # (index, camera) -> as it was written
-    _notes: Mapping[str, tuple[Message, ...]] = field(repr=False)  # by topic
+    _notes: Mapping[str, tuple[MessageLocation, ...]] = field(repr=False)  # by topic
     damage: tuple[Damage, ...] = ()
     _chunks: tuple[Chunk, ...] = field(default=(), repr=False)
     _data_crc: tuple[int, int] | None = field(default=None, repr=False)
@@ -86,7 +86,7 @@ class Recording:
     parts: "tuple[Recording, ...]" = ()
     utc_offset_ns: int = 0  # what a message's time is later than the monotonic clock's
     cut_frames: int | None = 0  # at most, that the file ends in the middle of; None: not known
-    known: Told | None = None  # what a store said of the file
+    known: StoreEntry | None = None  # what a store said of the file
     index: Followed | None = field(default=None, repr=False)  # None: walked over
 
     @property
@@ -354,7 +354,9 @@ def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, .
 
 
 @contextmanager
-def opened_place(path: Where, known: Told | None, ahead: int = 0) -> Iterator[tuple[IO[bytes], int, Told | None]]:
+def opened_place(
+    path: Where, known: StoreEntry | None, ahead: int = 0
+) -> Iterator[tuple[IO[bytes], int, StoreEntry | None]]:
     """The file of a recording here or in a store, its bytes, and what the store says of it. Raises as `opened` does.
 
     ahead : bytes of a file that is far which are fetched at once, in place of those that are asked for.
@@ -391,7 +393,7 @@ def opened(path: Path) -> Iterator[tuple[IO[bytes], os.stat_result]]:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
 
 
-def open_part(place: Where | str, known: Told | None = None) -> Recording:
+def open_part(place: Where | str, known: StoreEntry | None = None) -> Recording:
     """One file alone, whichever part it is. `known`: what a store said of it a moment ago.
 
     Raises AnnulusError when it is no recording.
@@ -404,7 +406,7 @@ def open_part(place: Where | str, known: Told | None = None) -> Recording:
     return _walked(path, known)
 
 
-def _walked(path: Where, known: Told | None, opened_by_index: Recording | None = None) -> Recording:
+def _walked(path: Where, known: StoreEntry | None, opened_by_index: Recording | None = None) -> Recording:
     """By a walk, as it was kept or anew. `opened_by_index`: the same, which is damaged where it is another."""
     begun = time.monotonic()
     with opened_place(path, known) as (file, size, known):
@@ -431,7 +433,7 @@ def _same(one: Recording, other: Recording) -> bool:
     return one.frames == other.frames and one._labels == other._labels and one._notes == other._notes
 
 
-def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recording | None:
+def _recorded(path: Where, found: Walk | Indexed, known: StoreEntry | None) -> Recording | None:
     """Out of a file's contents. None where an index has more than one frame or label of a name, or of two scans: only
     a walk says what counts. Raises AnnulusError for what is no recording, TwoScansError for what is two.
     """

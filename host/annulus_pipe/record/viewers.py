@@ -24,7 +24,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from annulus_pipe.numeric.arrays import FloatArray, Image
 from annulus_pipe.record.codec import is_mosaic
-from annulus_pipe.record.container import Form
+from annulus_pipe.record.container import ChannelForm
 from annulus_pipe.record.frames import DROPS_TOPIC
 
 PREVIEW_TOPIC, POINTS_TOPIC, TRANSFORMS_TOPIC, LOG_TOPIC = "/preview", "/points", "/tf", "/log"
@@ -44,12 +44,12 @@ RAW, JPEG = RawImage, CompressedImage  # what pictures are
 
 
 @cache
-def _form(message: Hashable) -> Form:
+def _form(message: Hashable) -> ChannelForm:
     kind: Any = message
-    return Form(kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString())
+    return ChannelForm(kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString())
 
 
-def form(message: Any) -> Form:
+def form(message: Any) -> ChannelForm:
     """Of a protobuf message's class, as a file describes it."""
     return _form(message)
 

@@ -96,7 +96,7 @@ class Chunk:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class MessageLocation:
     """Where one message lies: in the file, or in its chunk's records where those are packed."""
 
     channel: int
@@ -129,7 +129,7 @@ class Walk:
         self._contents: dict[tuple[int, int], bytes] = {}  # by where chunk and message lie
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, str] = {}  # their names
-        self.messages: list[Message] = []
+        self.messages: list[MessageLocation] = []
         self.chunks: list[Chunk] = []
         self.attachments: dict[str, bytes] = {}
         self.disagreeing: dict[str, bytes] = {}  # by a name that is there twice: another that is sound, too
@@ -175,7 +175,7 @@ class Walk:
             if written != found:
                 self._damaged(0, f"{written} {what} were written, {found} are here")
 
-    def content(self, message: Message) -> bytes:
+    def content(self, message: MessageLocation) -> bytes:
         """A message, believed; asked for once. ValueError where there is none."""
         offset, length, chunk = message.offset, message.length, message.chunk
         known = self._contents.pop((0 if chunk is None else chunk.offset, offset), None)
@@ -278,7 +278,7 @@ class Walk:
         self.channels.update(channels)
         self.schemas.update(schemas)
         self.chunks.append(chunk)
-        self.messages += (Message(*message, chunk) for message in messages)
+        self.messages += (MessageLocation(*message, chunk) for message in messages)
         return end if end <= self._size else None
 
     def _other_codec(self, start: int, end: int) -> int | None:
@@ -332,7 +332,7 @@ class Walk:
     def _message(self, start: int, length: int) -> None:
         if length < _MESSAGE_HEAD.size:
             raise ValueError("too short for a message")
-        message = Message(*_place(piece(self._file, start, _MESSAGE_HEAD.size), start, length), None)
+        message = MessageLocation(*_place(piece(self._file, start, _MESSAGE_HEAD.size), start, length), None)
         self.messages.append(message)
         if self._far and length < _SIP and self.channels.get(message.channel, _NONE).encoding == "json":
             self._contents[0, message.offset] = piece(self._file, message.offset, message.length)

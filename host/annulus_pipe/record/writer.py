@@ -18,13 +18,13 @@ from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record import viewers
 from annulus_pipe.record.clock import CLOCK_FILE, Clock
 from annulus_pipe.record.codec import DEFAULT, Codec, is_mosaic, jpeg
-from annulus_pipe.record.container import Container, Form, Piece
+from annulus_pipe.record.container import ChannelForm, Container, Piece
 from annulus_pipe.record.frames import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
 from annulus_pipe.record.parts import PART_FILE, Part
 from annulus_pipe.stream.frames import CHANNELS
 from annulus_pipe.vocabulary import AnnulusError
 
-RECORD = Form("annulus_pipe.record", "jsonschema", b'{"type":"object"}')
+RECORD = ChannelForm("annulus_pipe.record", "jsonschema", b'{"type":"object"}')
 _NOTES_MAX = 1 << 18  # bytes of small records that may wait for the next frame
 _PIXELS_FIELD = 6  # of a RawImage
 
@@ -193,7 +193,7 @@ class RecordingWriter:
         self._put(topic, *form, time_ns, sequence, data, kind=kind)
 
     def _put(
-        self, topic: str, encoding: str, form: Form, time_ns: int, sequence: int, *content: Piece, kind: str = ""
+        self, topic: str, encoding: str, form: ChannelForm, time_ns: int, sequence: int, *content: Piece, kind: str = ""
     ) -> None:
         utc_ns = self._clock.utc(time_ns)
         if kind != FRAME_TOPIC:  # what was sent first and comes later is not shown before what came

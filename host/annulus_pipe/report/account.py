@@ -11,7 +11,7 @@ from annulus_pipe.wall.photograph import Photograph
 
 
 @dataclass(frozen=True, slots=True)
-class Account:
+class ScanAccount:
     """Where a scan came from, what was counted, what was lost and what is wrong with it.
 
     source : what was scanned, for people. frames : how many by label. drops : everything that was lost, by kind.

@@ -28,7 +28,7 @@ from annulus_pipe.numeric.rounding import (
     quoted,
     span,
 )
-from annulus_pipe.report.account import Account
+from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.cuts import across, along
 from annulus_pipe.report.paper import letter, marked, question
 from annulus_pipe.report.photographs import part_of_map, photograph
@@ -57,7 +57,7 @@ SHEET_UNITS = {"nominal_diameter_mm": " mm", "sdr": ""}
 assert SHEET_UNITS.keys() == NUMBERS.keys()
 
 
-def values(survey: Survey, account: Account) -> dict[str, Any]:
+def values(survey: Survey, account: ScanAccount) -> dict[str, Any]:
     """Everything the four parts ask for, by name."""
     verdict = account.verdict
     return {
@@ -254,7 +254,7 @@ def _limits(verdict: Verdict) -> Iterator[dict[str, str]]:
             }
 
 
-def _details(survey: Survey, account: Account) -> dict[str, Any]:
+def _details(survey: Survey, account: ScanAccount) -> dict[str, Any]:
     chosen = worth_showing(survey.defects, MOST, account.verdict.foremost if account.verdict else ())
     taken = {one.view.index: one for one in account.photographs}
     shown = []
@@ -343,7 +343,7 @@ def _cell(value: float, quantity: Quantity) -> str:
     return digits(value, quantity) if math.isfinite(value) else ""
 
 
-def _accuracy(survey: Survey, account: Account) -> dict[str, Any]:
+def _accuracy(survey: Survey, account: ScanAccount) -> dict[str, Any]:
     """The statement of accuracy: what this scan says of itself, and what a reference section says of this head. No
     number of the benchmarks: theirs are of simulated heads, most with their exact calibration."""
     rows = [
@@ -368,7 +368,7 @@ def _within(k2: float, unit: str) -> str:
     return "not known" if math.isnan(k2) else f"± {off(k2, TOLERANCES[unit])}"
 
 
-def _not_covered(survey: Survey, account: Account) -> Iterator[str]:
+def _not_covered(survey: Survey, account: ScanAccount) -> Iterator[str]:
     if not account.covariance_stated:
         yield (
             "the calibration's own uncertainty: calibration.json states no covariance, and an error of the head's "

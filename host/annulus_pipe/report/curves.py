@@ -7,7 +7,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray
 from annulus_pipe.numeric.rounding import MEASURE, PERCENT, quoted
-from annulus_pipe.report.marks import Mark, name_above
+from annulus_pipe.report.marks import WallMark, name_above
 from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, Stretch, png, stack
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, Kind
 from annulus_pipe.wall.stations import OVALITY_NAME
@@ -16,7 +16,7 @@ from annulus_pipe.wall.survey import Survey
 PANELS = ((10.0, 40.0), (9.0, 26.0), (4.0, 12.0))  # mm on paper: room above each, its height
 
 
-def stations(survey: Survey, whole: Stretch, marks: Sequence[Mark]) -> bytes:
+def stations(survey: Survey, whole: Stretch, marks: Sequence[WallMark]) -> bytes:
     """All three of the whole pipe, as PNG."""
     figure, axes = stack(PANELS, whole)
     for draw, one, (_, height) in zip((draw_diameters, draw_ovality, draw_seen), axes, PANELS, strict=True):

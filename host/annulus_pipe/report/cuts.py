@@ -11,7 +11,7 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, quoted
 from annulus_pipe.report.paper import BUMP_BLUE, INK, LOSS_RED, round_up
 from annulus_pipe.wall.defects import Defect, Kind
-from annulus_pipe.wall.sections import Section
+from annulus_pipe.wall.sections import DefectSection
 
 IntArray = NDArray[np.int64]
 GREY, PALE, SHADE = "#55606b", "#dde2e7", "#e6e9ec"
@@ -28,7 +28,7 @@ def drawing(body: str, box: tuple[float, float, float, float], label: str, type_
     )
 
 
-def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Markup, float]:
+def across(section: DefectSection, clock_deg: FloatArray, defect: Defect) -> tuple[Markup, float]:
     """The cross-section: departures from the mean circle about the pipe's centre, much enlarged; nominal circle, the
     pipe's own shape, k = 2. Second, how far the two rings lie from the mean circle, mm."""
     colour = COLOUR[defect.kind]
@@ -73,7 +73,7 @@ def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Mar
     return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), label, 15), scale
 
 
-def along(section: Section, defect: Defect) -> Markup:
+def along(section: DefectSection, defect: Defect) -> Markup:
     """The line along the pipe through the deepest place, with k = 2 and the depth of the list."""
     colour = COLOUR[defect.kind]
     left, right, top, bottom = 62.0, 8.0, 8.0, 46.0

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import NDArray
 
+from annulus_pipe.hooks import Sheet, sheets
 from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.rounding import DISTANCE, span
@@ -25,13 +26,12 @@ from annulus_pipe.report.marks import marks_of
 from annulus_pipe.report.paper import DEVIATION, UNSEEN, Stretch, in_style, round_up
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wings import Sheet, sheets
 
 SHORT_M = 3.3  # so much goes into one map without sheets
 
 
 @dataclass(frozen=True, slots=True)
-class Pictures:
+class ReportPictures:
     """PNG files as bytes; `deviation_rgb` is the map's colour of every cell, (Z, A, 3) uint8; `scale_mm` its ends."""
 
     unwrapped: bytes
@@ -51,7 +51,7 @@ class Pictures:
     stretch_mm: tuple[float, float] | None = None  # what `surface` shows of a long pipe
 
 
-def draw(survey: Survey, observations: Sequence[Observation] = ()) -> Pictures:
+def draw(survey: Survey, observations: Sequence[Observation] = ()) -> ReportPictures:
     """Every picture of one report. observations : what an operator marked, put on the maps."""
     deviation = survey.wall.deviation_mm()
     scale = _scale(survey, deviation)
@@ -65,7 +65,7 @@ def draw(survey: Survey, observations: Sequence[Observation] = ()) -> Pictures:
     sheet_mm = lengths[0][1] - lengths[0][0] if lengths else 0.0
     rows = stretch_of(survey)
     with in_style():
-        return Pictures(
+        return ReportPictures(
             unwrapped=unwrapped(survey, whole, deviation, scale, marks, not long),
             texture=texture(survey, whole, marks, not long),
             stations=stations(survey, whole, marks),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray, Image
 from annulus_pipe.numeric.rounding import DISTANCE, clock_face, span
-from annulus_pipe.report.marks import Mark
+from annulus_pipe.report.marks import WallMark
 from annulus_pipe.report.paper import DEVIATION, DPI, INK, badge, png, round_up
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.grid import Wall, smooth
@@ -29,7 +29,7 @@ REACH_OF_RADIUS = 4.5  # of a long pipe: the stretch shown, to each side of its 
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ShadedView:
     """A shaded picture, (H, W, 3) uint8 RGB, and how pipe-frame points fall into it (orthographic)."""
 
     image: Image
@@ -64,7 +64,7 @@ def ends_of(wall: Wall, rows: slice) -> tuple[float, float]:
 
 
 def draw_halves(
-    survey: Survey, rows: slice, rgb: Image, marks: Sequence[Mark], scale_mm: float
+    survey: Survey, rows: slice, rgb: Image, marks: Sequence[WallMark], scale_mm: float
 ) -> tuple[tuple[str, bytes], ...]:
     """Caption and PNG of both halves.
 
@@ -97,7 +97,7 @@ def _best_cut(local: Sequence[Defect]) -> float:
     return max(hours, key=room)
 
 
-def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float, marks: Sequence[Mark], scale_mm: float) -> bytes:
+def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float, marks: Sequence[WallMark], scale_mm: float) -> bytes:
     view = half_view(wall, rgb, rows, clock_deg, width=SIZE_PX[0], height=SIZE_PX[1])
     height, width = view.image.shape[:2]
     total = height + STRIP_PX
@@ -108,7 +108,7 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float, marks: Sequence
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     labels = _Labels(axes, width, height)
-    at = _Place(view, wall.mean_radius_mm)
+    at = _WallToPicture(view, wall.mean_radius_mm)
     first, last = float(wall.z_mm[rows][0]), float(wall.z_mm[rows][-1])
     _number(axes, labels, at, marks, (first, last), clock_deg)
     for offset in (0, -90, 90, -45, 45):  # the middle first: where there is no room for all, it has a label
@@ -131,10 +131,10 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float, marks: Sequence
     return png(figure)
 
 
-class _Place:
+class _WallToPicture:
     """Where a place on the wall lies in the picture: clock (deg), distance (mm), radius over the pipe's -> pixels."""
 
-    def __init__(self, view: View, radius_mm: float) -> None:
+    def __init__(self, view: ShadedView, radius_mm: float) -> None:
         self.view, self.radius_mm = view, radius_mm
 
     def __call__(self, clock: float, z: float, out: float) -> tuple[float, float]:
@@ -169,7 +169,12 @@ class _Labels:
 
 
 def _number(
-    axes: Any, labels: _Labels, at: _Place, marks: Sequence[Mark], ends: tuple[float, float], clock_deg: float
+    axes: Any,
+    labels: _Labels,
+    at: _WallToPicture,
+    marks: Sequence[WallMark],
+    ends: tuple[float, float],
+    clock_deg: float,
 ) -> None:
     """A badge beside everything that lies on this half, with a line to its middle."""
     for mark in marks:
@@ -190,7 +195,9 @@ def _number(
                 break
 
 
-def half_view(wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 840, height: int = 540) -> View:
+def half_view(
+    wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 840, height: int = 540
+) -> ShadedView:
     """The half of the pipe around a clock angle, from inside and a little ahead; distance runs to the right.
 
     Parameters
@@ -250,7 +257,7 @@ def half_view(wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width
     canvas = np.full((size[1], size[0], 3), BACKGROUND, dtype=np.uint8)
     canvas[v[inside][order], u[inside][order]] = paint[inside][order]
     image = canvas.reshape(height, fine, width, fine, 3).mean(axis=(1, 3)).astype(np.uint8)
-    return View(image, right, down, origin, scale / fine)
+    return ShadedView(image, right, down, origin, scale / fine)
 
 
 def _resample(field: NDArray[np.float32], i: FloatArray, j: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:

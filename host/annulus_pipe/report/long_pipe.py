@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from annulus_pipe.numeric.arrays import Float32Array
 from annulus_pipe.report.curves import draw_diameters, draw_ovality, draw_seen
 from annulus_pipe.report.maps import draw_colour, draw_shape, scales
-from annulus_pipe.report.marks import Mark
+from annulus_pipe.report.marks import WallMark
 from annulus_pipe.report.paper import Stretch, png, stack
 from annulus_pipe.wall.survey import Survey
 
@@ -36,7 +36,7 @@ def scale_of_sheets(survey: Survey, length_mm: float) -> str:
     return scales(survey, length_mm, SHEET_PANELS[0][1])
 
 
-def sheet(survey: Survey, stretch: Stretch, deviation: Float32Array, scale: float, marks: Sequence[Mark]) -> bytes:
+def sheet(survey: Survey, stretch: Stretch, deviation: Float32Array, scale: float, marks: Sequence[WallMark]) -> bytes:
     """One, as PNG."""
     figure, axes = stack(SHEET_PANELS, stretch)
     heights = [height for _, height in SHEET_PANELS]

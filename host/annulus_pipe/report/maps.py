@@ -19,7 +19,7 @@ from scipy import ndimage
 from annulus_pipe.numeric.arrays import Float32Array
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
-from annulus_pipe.report.marks import Mark, draw_marks, name_above
+from annulus_pipe.report.marks import WallMark, draw_marks, name_above
 from annulus_pipe.report.paper import (
     AXES_MM,
     DEVIATION,
@@ -47,7 +47,7 @@ LEGEND_COLUMNS = 4
 
 
 def unwrapped(
-    survey: Survey, whole: Stretch, deviation: Float32Array, scale: float, marks: Sequence[Mark], names: bool
+    survey: Survey, whole: Stretch, deviation: Float32Array, scale: float, marks: Sequence[WallMark], names: bool
 ) -> bytes:
     """The deviation of the whole pipe, as PNG."""
     height = height_of(survey, whole)
@@ -57,7 +57,7 @@ def unwrapped(
     return png(figure)
 
 
-def texture(survey: Survey, whole: Stretch, marks: Sequence[Mark], names: bool) -> bytes:
+def texture(survey: Survey, whole: Stretch, marks: Sequence[WallMark], names: bool) -> bytes:
     """The colour of the whole pipe, as PNG."""
     height = height_of(survey, whole)
     figure, (axes,) = stack([(ABOVE_MM, height)], whole)
@@ -84,7 +84,7 @@ def draw_shape(
     stretch: Stretch,
     deviation: Float32Array,
     scale: float,
-    marks: Sequence[Mark],
+    marks: Sequence[WallMark],
     height_mm: float,
     *,
     names: bool = True,
@@ -113,7 +113,7 @@ def draw_colour(
     axes: Any,
     survey: Survey,
     stretch: Stretch,
-    marks: Sequence[Mark],
+    marks: Sequence[WallMark],
     height_mm: float,
     *,
     names: bool = True,

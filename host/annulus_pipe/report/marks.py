@@ -27,7 +27,7 @@ NAME_MM = 1.8  # a letter of a name above
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class WallMark:
     """One thing on the wall: its name in the tables, where it lies, and its outline, lines of (N, 2) m and degrees."""
 
     name: str
@@ -53,10 +53,10 @@ class Mark:
         return {"colour": FEATURE, "shape": "round"} if self.name.isalpha() else {}
 
 
-def marks_of(survey: Survey, observations: Sequence[Observation] = ()) -> tuple[Mark, ...]:
+def marks_of(survey: Survey, observations: Sequence[Observation] = ()) -> tuple[WallMark, ...]:
     """Everything that has a name in the page's tables."""
     out = [
-        Mark(
+        WallMark(
             str(i),
             one.z_range_mm,
             one.clock_deg,
@@ -66,13 +66,13 @@ def marks_of(survey: Survey, observations: Sequence[Observation] = ()) -> tuple[
         )
         for i, one in enumerate(survey.defects, start=1)
     ]
-    out += [Mark(letter(i), one.z_range_mm, one.clock_deg, one.arc_deg) for i, one in enumerate(survey.features)]
+    out += [WallMark(letter(i), one.z_range_mm, one.clock_deg, one.arc_deg) for i, one in enumerate(survey.features)]
     for i, place in enumerate(survey.detection.undecided):
-        out.append(Mark(question(i), place.z_range_mm, place.clock_deg, place.arc_deg))
+        out.append(WallMark(question(i), place.z_range_mm, place.clock_deg, place.arc_deg))
     for i, one in enumerate(observations):
         if math.isfinite(one.z_mm):
             arc = 360.0 if one.clock_deg is None else 0.0
-            out.append(Mark(marked(i), (one.z_mm, one.z_mm), one.clock_deg or 0.0, arc, point=True))
+            out.append(WallMark(marked(i), (one.z_mm, one.z_mm), one.clock_deg or 0.0, arc, point=True))
     return tuple(out)
 
 
@@ -98,7 +98,7 @@ def outline(wall: Wall, label: LabelArray, number: int, defect: Defect) -> tuple
     return tuple(np.asarray(line) for line in lines)
 
 
-def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: bool = True) -> None:
+def draw_marks(axes: Any, marks: Sequence[WallMark], height_mm: float, *, names: bool = True) -> None:
     """Every mark that reaches into the axes, whose x are m and whose y degrees; names : with badges beside them."""
     low, high = axes.get_xlim()
     placed: list[tuple[float, float, float]] = []  # middle and half width, mm on paper
@@ -106,7 +106,7 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
     def free(x: float, y: float, half: float) -> bool:
         return all(abs(x - a) >= half + b or abs(y - c) >= BADGE_MM for a, c, b in placed)
 
-    def put(mark: Mark, spots: Iterator[tuple[float, float]]) -> None:
+    def put(mark: WallMark, spots: Iterator[tuple[float, float]]) -> None:
         """At the first spot (mm on paper) that is free; at the first of all where none is."""
         half = (BADGE_MM + LETTER_MM * (len(mark.name) - 1)) / 2
         fits = [(float(np.clip(x, half, AXES_MM - half)), float(np.clip(y, 2.5, height_mm - 2.5))) for x, y in spots]
@@ -166,7 +166,7 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
             put(mark, spots)
 
 
-def name_above(axes: Any, marks: Sequence[Mark]) -> None:
+def name_above(axes: Any, marks: Sequence[WallMark]) -> None:
     """Names along the upper edge, where the things lie; those that would run into each other share a place."""
     low, high = axes.get_xlim()
     groups: list[list[tuple[float, str]]] = []

@@ -19,12 +19,12 @@ from annulus_pipe.numeric.rounding import (
     quoted,
     span,
 )
-from annulus_pipe.report.figures import Pictures
+from annulus_pipe.report.figures import ReportPictures
 from annulus_pipe.report.halves import EXAGGERATION
 from annulus_pipe.report.paper import letter, question
 from annulus_pipe.report.sheet import inline, minute, sheet
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.lost import RING_LOST
 from annulus_pipe.wall.stations import NOT_ENOUGH
 from annulus_pipe.wall.survey import Survey
@@ -99,7 +99,7 @@ OTHERWISE = "other incidents of the instrument, see summary.json"
 SAID_ABOVE = ("frames_unknown", "reconstructed_after_the_scan")
 
 
-def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, **more: Any) -> str:
+def render_page(survey: Survey, summary: Mapping[str, Any], pictures: ReportPictures, **more: Any) -> str:
     """The report as one HTML document: no script, no font and no picture from anywhere else. more : what further parts
     of the page ask for, by name."""
     features = [_feature(letter(i), feature) for i, feature in enumerate(survey.features)]
@@ -259,7 +259,7 @@ def _feature(name: str, feature: Feature) -> dict[str, Any]:
     }
 
 
-def _words(one: Measure) -> tuple[str, str]:
+def _words(one: FeatureMeasure) -> tuple[str, str]:
     """What was measured, and its value with its expanded uncertainty and unit."""
     stem = one.name.removesuffix("_" + one.unit).replace("_", " ")
     if stem.endswith("clock"):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.report import client, figures
-from annulus_pipe.report.account import Account
+from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper, to_pdf
 from annulus_pipe.report.ply import write_ply
@@ -48,7 +48,7 @@ DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the
 
 def write(
     survey: Survey,
-    account: Account,
+    account: ScanAccount,
     out: Path,
     *,
     depth: Mapping[str, NDArray[Any]] | None = None,

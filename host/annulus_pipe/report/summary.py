@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from annulus_pipe.hooks import Sheet
 from annulus_pipe.job import Observation, Origin
 from annulus_pipe.numeric.rounding import clock_face, stored, stored_k2
-from annulus_pipe.report.account import Account
+from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.paper import marked
 from annulus_pipe.wall.conformity import RULE, Group, Verdict
 from annulus_pipe.wall.defects import Defect
@@ -22,10 +23,9 @@ from annulus_pipe.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import Unjudged
 from annulus_pipe.wall.vibration import Vibration
-from annulus_pipe.wings import Sheet
 
 
-def summarize(survey: Survey, account: Account, files_ms: float, beside: Sequence[Sheet] = ()) -> dict[str, Any]:
+def summarize(survey: Survey, account: ScanAccount, files_ms: float, beside: Sequence[Sheet] = ()) -> dict[str, Any]:
     """The figures of one scan as in summary.json: mm, degrees, None where nothing could be measured. files_ms: what the
     other files took."""
     start, end = survey.scanned_mm

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, quoted, span
 from annulus_pipe.report import client, figures
-from annulus_pipe.report.account import Account
+from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper
 from annulus_pipe.report.results import SUMMARY, WALL, staged, write, write_centreline, write_page, write_stations
@@ -47,7 +47,7 @@ def keep_windows(out: Path, numbers: Sequence[int] = ()) -> None:
         shutil.rmtree(out / WINDOWS, ignore_errors=True)
 
 
-def write_window(survey: Survey, account: Account, out: Path, number: int) -> None:
+def write_window(survey: Survey, account: ScanAccount, out: Path, number: int) -> None:
     """One window's results, all that a short scan has. A summary of the whole that is there is of another scan, or of
     what the window was: it goes."""
     (out / SUMMARY).unlink(missing_ok=True)
@@ -55,7 +55,7 @@ def write_window(survey: Survey, account: Account, out: Path, number: int) -> No
 
 
 def write_whole(
-    pipe: Joined, account: Account, out: Path, numbers: Sequence[int], *, paper: Paper | None = None
+    pipe: Joined, account: ScanAccount, out: Path, numbers: Sequence[int], *, paper: Paper | None = None
 ) -> dict[str, Any]:
     """What all windows together say, beside their folders, which must be there; others go. Returns what summary.json
     says.

@@ -4,7 +4,7 @@
 daemon's workers call it live, everything else goes through `engine`. An executor says where chunks of frames are worked
 on (this process, local processes). What comes out is the same to the bit whichever it is: what must be decided once per
 scan is decided before, and chunks are fixed.
-A scan that has no profile a frame belongs to a wing: `wings.opened` says so.
+A scan that has no profile a frame belongs to a wing: `hooks.opened` says so.
 
 >>> pipe = survey_of("scan.mcap")
 """

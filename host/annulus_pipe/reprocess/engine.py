@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.hooks import added
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
@@ -22,7 +23,7 @@ from annulus_pipe.reprocess.places import (
     running_back_findings,
 )
 from annulus_pipe.reprocess.ranges import CHUNK
-from annulus_pipe.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
+from annulus_pipe.rings.diagnosis import FrameLighting, diagnose, exposure_findings, lamp_findings, reference_findings
 from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
@@ -31,7 +32,6 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import LedFrame
-from annulus_pipe.wings import added
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
@@ -56,7 +56,7 @@ class Reprocessed:
     timing_ms: Mapping[str, float]
 
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
-        """What profiles, LED frames and other sensors say of the pipe; see `wall.survey`, `wings.added`."""
+        """What profiles, LED frames and other sensors say of the pipe; see `wall.survey`, `hooks.added`."""
         leds = LedFrames(self.job, progress)
         turns, job = turns_of(self.job.scan), self.job
         scale = find_scale(self.profiles, job.calibration, job.sections, prior_of(job.scan))
@@ -82,7 +82,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     job, which, decided = decisions(job)
     measured = measure(job, which, executor, progress)
     profiles = tuple(profile for profile, _ in measured)
-    seen = Seen(
+    seen = AccountBasis(
         [(profile.frame, light) for profile, light in measured],
         [profile.pose for profile in profiles if profile.pose is not None],
         [profile.frame for profile in profiles if TWO_WALLS in profile.rejected],
@@ -126,12 +126,12 @@ def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class AccountBasis:
     """What of a scan's profiles its account is made of. lights : (frame, light) of every frame that was read; poses :
     of those that show a pipe; apart : frames whose cameras see two walls; pairs : flashes that all cameras saw;
     left_out : frames nobody could measure, and why stands in a finding."""
 
-    lights: Sequence[tuple[int, Exposure]]
+    lights: Sequence[tuple[int, FrameLighting]]
     poses: Sequence[Pose]
     apart: Sequence[int]
     pairs: int
@@ -139,7 +139,7 @@ class Seen:
 
 
 def account(
-    job: Job, which: Sequence[int], decided: Sequence[Finding], seen: Seen
+    job: Job, which: Sequence[int], decided: Sequence[Finding], seen: AccountBasis
 ) -> tuple[tuple[Finding, ...], dict[str, int], dict[str, int]]:
     """What is wrong with a scan's frames, how many there are by label, and what was lost, by kind.
 

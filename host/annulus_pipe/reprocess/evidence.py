@@ -43,7 +43,7 @@ def _where(after: int | None, before: int | None) -> str:
     return f"after frame {after}" if before is None else f"between frames {after} and {before}"
 
 
-class Evidence:
+class RecordedEvidence:
     """`holes`: known when all is said."""
 
     def __init__(self, recording: Recording) -> None:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from annulus_pipe.reprocess.engine import Progress, Reprocessed, Seen, account, decisions
+from annulus_pipe.reprocess.engine import AccountBasis, Progress, Reprocessed, account, decisions
 from annulus_pipe.reprocess.executors import Executor, Failed
 from annulus_pipe.reprocess.job import Job, stage_medians
 from annulus_pipe.reprocess.ranges import CHUNKS, Facts, clear, measure_ranges, profiles_of
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import Finding
 
 LEFT_OUT, PROCESSORS = "left-out", "processors"  # kinds of finding
@@ -34,7 +34,7 @@ class Ranged:
 
 
 def in_ranges(
-    job: Job, place: Place, executor: Executor, progress: Progress | None = None, chunks: int = CHUNKS
+    job: Job, place: StoragePath, executor: Executor, progress: Progress | None = None, chunks: int = CHUNKS
 ) -> Ranged:
     """Every range of a scan measured, its profiles in the place; one that cannot be is left out, and told.
 
@@ -53,7 +53,7 @@ def in_ranges(
     if not facts:
         raise failed[0][1].raised()
     left_out = tuple(frame for frames, _ in failed for frame in frames)
-    seen = Seen(
+    seen = AccountBasis(
         [light for one in facts for light in one.lights],
         [pose for one in facts for pose in one.poses],
         [frame for one in facts for frame in one.apart],
@@ -69,7 +69,7 @@ def in_ranges(
     return Ranged(job, tuple(facts), remarks + findings, left_out, frames, drops)
 
 
-def gathered(ranged: Ranged, place: Place, started: float) -> Reprocessed:
+def gathered(ranged: Ranged, place: StoragePath, started: float) -> Reprocessed:
     """With all profiles in this process. started : time.perf_counter() of when the work began."""
     profiles = tuple(profile for one in ranged.facts for profile in profiles_of(place, one))
     timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}

@@ -12,7 +12,7 @@ from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.method import Method, method_for
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
-from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.rings.diagnosis import FrameLighting, diagnose
 from annulus_pipe.scans.scan import Scan, ScanFrame, open_scan
 from annulus_pipe.storage.calibration_file import load_calibration, load_part
 from annulus_pipe.storage.place import Where, where
@@ -22,7 +22,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.reference import ReferenceSection, sections_recorded
 
 FLASH_MM = 0.05  # frames of one flash stand no farther apart; a tenth of what a head moves in a flash is less
-Measured = tuple[Profile, Exposure]
+Measured = tuple[Profile, FrameLighting]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wall.profile import Profile
 
 
-class Frame(Protocol):
+class FrameFacts(Protocol):
     """What a method must know of a frame besides its image; a live frame's header says it as a scan's table does."""
 
     @property
@@ -30,7 +30,7 @@ class Frame(Protocol):
 # (frame, images (H, W, 3) uint8 BGR by camera id, pose of a frame nearby or None) -> profile. All images are of one
 # flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its camera's,
 # ValueError for a frame whose place along the pipe is not known.
-Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
+Method = Callable[[FrameFacts, Mapping[int, Image], Pose | None], Profile]
 
 
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
@@ -50,7 +50,7 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
 
 
 def _method(profile_of: Callable[..., Profile]) -> Method:
-    def profile(frame: Frame, images: Mapping[int, Image], seed: Pose | None) -> Profile:
+    def profile(frame: FrameFacts, images: Mapping[int, Image], seed: Pose | None) -> Profile:
         if frame.z_mm is None:
             raise ValueError("no place along the pipe is known for this frame")
         # to numba a read-only array is another type: everything would compile again

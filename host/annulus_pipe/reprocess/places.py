@@ -9,7 +9,7 @@ from annulus_pipe.numeric.rounding import DISTANCE, off, quoted, span
 from annulus_pipe.record.copy import missing_of
 from annulus_pipe.record.frames import Z_MAX_MM
 from annulus_pipe.record.missing import missing_told
-from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.rings.diagnosis import FrameLighting
 from annulus_pipe.scans.scan import Scan, ScanFrame
 from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
@@ -119,7 +119,7 @@ def _falls(frames: Sequence[ScanFrame]) -> bool:
     return sum(step < 0.0 for step in steps) > sum(step > 0.0 for step in steps)
 
 
-def doubled_findings(frames: Sequence[ScanFrame], lights: Sequence[tuple[int, Exposure]]) -> list[Finding]:
+def doubled_findings(frames: Sequence[ScanFrame], lights: Sequence[tuple[int, FrameLighting]]) -> list[Finding]:
     """One where pictures are those of the flash before to the bit, at another place. lights : by frame, in order."""
     place = {frame.index: frame.z_mm for frame in frames}
     twice = tuple(

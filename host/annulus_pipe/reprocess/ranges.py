@@ -27,10 +27,10 @@ from annulus_pipe.reprocess.job import Job, measured, stage_medians
 from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.reprocess.profile_file import packed, unpacked
 from annulus_pipe.reprocess.versions import address, measured_with, processor
-from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.rings.diagnosis import FrameLighting
 from annulus_pipe.scans.scan import FRAME_MAX, Scan
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
-from annulus_pipe.storage.place import Place, Where, read_whole
+from annulus_pipe.storage.place import StoragePath, Where, read_whole
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.windows import Reach
@@ -71,7 +71,7 @@ class Facts:
     name: str
     first: int
     last: int
-    lights: tuple[tuple[int, Exposure], ...]
+    lights: tuple[tuple[int, FrameLighting], ...]
     damaged: tuple[int, ...]
     poses: tuple[Pose, ...]
     without_pose: tuple[int, ...]
@@ -160,7 +160,7 @@ class Measuring:
     """Work: a range to its file in the place. job : with all decisions in it, its scan's frames left out."""
 
     job: Job
-    place: Place
+    place: StoragePath
 
     def ready(self) -> Callable[[Range], Facts]:
         make_ready_beside(self.job.calibration)
@@ -192,7 +192,7 @@ class Measuring:
         return do
 
 
-def measuring(job: Job, place: Place) -> Measuring:
+def measuring(job: Job, place: StoragePath) -> Measuring:
     """`job`: its colour decided."""
     return Measuring(without_frames(job), place)
 
@@ -219,7 +219,7 @@ def facts_of(one: Range, name: str, profiles: Sequence[Profile], about: Mapping[
         name,
         one.indices[0],
         one.indices[-1],
-        tuple((frame, Exposure(*light)) for frame, light in zip(frames, lights or (), strict=True)),
+        tuple((frame, FrameLighting(*light)) for frame, light in zip(frames, lights or (), strict=True)),
         tuple(frame for frame in one.indices if frame not in set(frames)),
         tuple(p.pose for p in profiles if p.pose is not None),
         tuple(p.frame for p in profiles if p.pose is None),
@@ -267,7 +267,7 @@ def _of_message(recording: Recording, frame: RecordedFrame) -> tuple[Any, ...]:
         return frame.length, frame.jpeg, "damaged"
 
 
-def profiles_of(place: Place, facts: Facts) -> tuple[Profile, ...]:
+def profiles_of(place: StoragePath, facts: Facts) -> tuple[Profile, ...]:
     """Of a range that was measured. Raises AnnulusError where its file is not what was written."""
     data = place.read(facts.name)
     if data is None:
@@ -277,7 +277,7 @@ def profiles_of(place: Place, facts: Facts) -> tuple[Profile, ...]:
 
 def measure_ranges(
     job: Job,
-    place: Place,
+    place: StoragePath,
     executor: Executor,
     report: Callable[[int, int], None] = lambda done, total: None,
     chunks: int = CHUNKS,
@@ -294,7 +294,7 @@ def measure_ranges(
         yield one, outcome
 
 
-def clear(place: Place, facts: Sequence[Facts]) -> None:
+def clear(place: StoragePath, facts: Sequence[Facts]) -> None:
     """Take away what earlier code or calibrations left among the ranges."""
     kept = {one.name for one in facts}
     for name in place.names(f"{FOLDER}/"):

@@ -22,7 +22,7 @@ from annulus_pipe.record.copy import Copied, clock_of, copy, missing_of
 from annulus_pipe.record.frames import RecordedFrame, frame_name
 from annulus_pipe.record.missing import RELABELLED, missing_note, missing_told
 from annulus_pipe.record.recording import Recording, open_recording
-from annulus_pipe.reprocess.evidence import TOPIC, Evidence, Hole
+from annulus_pipe.reprocess.evidence import TOPIC, Hole, RecordedEvidence
 from annulus_pipe.scans.marks import read_marks
 from annulus_pipe.scans.origin import job_told
 from annulus_pipe.stream.frames import FrameHeader
@@ -33,7 +33,7 @@ NO_EVIDENCE = "no evidence"
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class LabelChange:
     """What is said of some frames now, and was said of them then."""
 
     was: str
@@ -47,7 +47,7 @@ class Audit:
     """frames: those with a label, recorded or not. holes: of the evidence. lacks: a line for all that is missing."""
 
     frames: int = 0
-    changes: Counter[Change] = field(default_factory=Counter)
+    changes: Counter[LabelChange] = field(default_factory=Counter)
     without_evidence: int = 0
     holes: list[Hole] = field(default_factory=list)
     lacks: list[str] = field(default_factory=list)
@@ -192,7 +192,7 @@ _Said = dict[tuple[int, int], FrameHeader | None]  # by index and camera, as the
 def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
     """What differs goes into `found`."""
     recorded = {(frame.index, frame.camera): frame for frame in recording.frames}
-    evidence = Evidence(recording)
+    evidence = RecordedEvidence(recording)
     out: _Said = {}
     any_row = False
     for was, now in evidence.said_again(Replay(patience_ns)):
@@ -223,17 +223,17 @@ def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
     return out
 
 
-def _change(was: Mapping[str, Any], now: FrameHeader) -> Change | None:
+def _change(was: Mapping[str, Any], now: FrameHeader) -> LabelChange | None:
     if was.get("label") != now.label.value:
         why = " -> ".join(str(reason) or "agreed" for reason in (was.get("reason", ""), now.reason))
-        return Change(str(was.get("label")), now.label.value, "label", why)
+        return LabelChange(str(was.get("label")), now.label.value, "label", why)
     places = was.get("z_mm"), now.z_mm
     apart = abs((places[0] or 0.0) - (places[1] or 0.0)) if (places[0] is None) == (places[1] is None) else math.inf
     assumed = bool(was.get("z_assumed", False)), now.z_assumed
     if apart <= SAME_MM and assumed[0] == assumed[1]:
         return None
     words = ["assumed" if one else "counted" for one in assumed]
-    return Change(now.label.value, now.label.value, "place", f"{words[0]} -> {words[1]}, {apart:.1f} mm apart")
+    return LabelChange(now.label.value, now.label.value, "place", f"{words[0]} -> {words[1]}, {apart:.1f} mm apart")
 
 
 def _label(recording: Recording, frame: RecordedFrame, now: FrameHeader | None) -> dict[str, Any]:

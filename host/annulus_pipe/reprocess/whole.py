@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annulus_pipe.hooks import added
 from annulus_pipe.reprocess.engine import Progress, reprocess
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.gather import Ranged, gathered, in_ranges
@@ -27,13 +28,12 @@ from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus_pipe.reprocess.windows import Files, survey_windows
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import Finding, Label
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale, find_scale, frames_for_scale
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.windows import POINTS_MAX, Reach, plan
-from annulus_pipe.wings import added
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
 WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
@@ -63,7 +63,7 @@ class Filed:
     """The profiles of a scan where its ranges lie. facts : of each range, in their order; first : the number of each
     one's first frame, counted over all that were read."""
 
-    place: Place
+    place: StoragePath
     facts: tuple[Facts, ...]
     first: tuple[int, ...]
 
@@ -115,7 +115,7 @@ class Held:
 
 def surveyed(
     job: Job,
-    place: Place,
+    place: StoragePath,
     executor: Executor,
     files: Files,
     progress: Progress | None = None,
@@ -166,7 +166,7 @@ def surveyed(
 
 
 @contextlib.contextmanager
-def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
+def _ranges_in(place: StoragePath, keep: bool) -> Iterator[None]:
     """Ranges that are not to stay are taken away again, however the work ends."""
     try:
         yield
@@ -179,7 +179,7 @@ def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
                     (place.local / FOLDER).rmdir()
 
 
-def _filed(ranged: Ranged, place: Place) -> Filed:
+def _filed(ranged: Ranged, place: StoragePath) -> Filed:
     ends = accumulate((len(one.reaches) for one in ranged.facts), initial=0)
     bare = tuple(replace(one, poses=(), reaches=()) for one in ranged.facts)
     return Filed(place, bare, tuple(ends)[:-1])

@@ -24,7 +24,7 @@ from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale
 from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wall.windows import Plan, Window, between
+from annulus_pipe.wall.windows import Window, WindowPlan, between
 
 NOT_MEASURED, THINNED = "stretch-not-measured", "frames-thinned"  # kinds of finding
 
@@ -85,7 +85,7 @@ class Portion:
 class Portions(Sequence[Portion]):
     """A scan's windows, cut as they are asked for."""
 
-    def __init__(self, scan: Scan, profiles: Profiles, plan: Plan) -> None:
+    def __init__(self, scan: Scan, profiles: Profiles, plan: WindowPlan) -> None:
         self._scan, self._profiles, self._windows = scan, profiles, plan.windows
         self._z_mm = {frame.index: frame.z_mm for frame in scan.frames}
 
@@ -187,7 +187,7 @@ class WindowWork:
 def survey_windows(
     job: Job,
     profiles: Profiles,
-    plan: Plan,
+    plan: WindowPlan,
     files: Files,
     executor: Executor = in_process,
     progress: Progress | None = None,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.rings.decode import NONE, StripeColours, classify
-from annulus_pipe.rings.order import Placed
+from annulus_pipe.rings.order import PlacedSlits
 from annulus_pipe.rings.slits import Slits
 
 FORMAT = "annulus-colour/1"
@@ -113,7 +113,7 @@ class ColourProfile:
         )
 
 
-def stripes(slits: Slits, placed: Placed, calibration: Calibration) -> Stripes:
+def stripes(slits: Slits, placed: PlacedSlits, calibration: Calibration) -> Stripes:
     """The stripes' light on both sides of every named slit of a frame.
 
     Light spreads from the projector and meets the wall aslant: it falls as the cubed sine of the cone's half-angle.

@@ -18,13 +18,13 @@ from annulus_pipe.numeric.chroma import LED_SPREAD_MAX, PROJECTOR_SPREAD_MIN, sp
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus_pipe.rings.colour import ColourProfile, differs, stripes
-from annulus_pipe.rings.order import Placed
+from annulus_pipe.rings.order import PlacedSlits
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.rings.slits import Slits
 from annulus_pipe.vocabulary import Finding
 
-# Those of `Exposure` and RADIUS_OFF are tested from both sides (test_limits, test_diagnosis), SUSPECT and FLIP_BETTER
-# by test_diagnosis; CLEAR and CHANNEL_LEAST are a choice: unguarded within a factor of two.
+# Those of `FrameLighting` and RADIUS_OFF are tested from both sides (test_limits, test_diagnosis), SUSPECT and
+# FLIP_BETTER by test_diagnosis; CLEAR and CHANNEL_LEAST are a choice: unguarded within a factor of two.
 EVERY = 8  # pixels: light varies slowly enough
 DARK = 14.0  # grey levels; no stripe is so dim, and no sensor's black so bright
 LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is stripe and not slit
@@ -61,7 +61,7 @@ class Trouble(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Exposure:
+class FrameLighting:
     """How one frame is lit. `bright`: grey level of the brightest channel that one pixel in two hundred exceeds.
     `clipped`: share of the lit pixels with a channel at full scale; `lost`: with two, so that no colour is left.
     `hues`: variance of chromaticity, 0..2/3: 0.3 to 0.4 of stripes, below 0.01 of a white lamp on one wall."""
@@ -91,7 +91,7 @@ class Exposure:
         return not self.dark and self.hues >= PROJECTOR_SPREAD_MIN
 
 
-def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
+def diagnose(image_bgr: NDArray[np.uint8]) -> FrameLighting:
     """Light of one frame, (H, W, 3) uint8, from every eighth pixel of every eighth row."""
     some = np.ascontiguousarray(image_bgr[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY])
     blue, green, red = cv2.split(some)
@@ -101,7 +101,7 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     bright = int(np.flatnonzero(above > 0.005 * above[0])[-1])
     least = int(max(LIT_OF_BRIGHT * bright, 1))
     lit = max(int(above[least]), 1)
-    return Exposure(
+    return FrameLighting(
         float(bright),
         float(above[CLIPPED]) / lit,
         float(lost[CLIPPED]) / lit,
@@ -148,7 +148,7 @@ def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Fin
     )
 
 
-def exposure_findings(exposures: Sequence[tuple[int, Exposure]]) -> tuple[Finding, ...]:
+def exposure_findings(exposures: Sequence[tuple[int, FrameLighting]]) -> tuple[Finding, ...]:
     """What (frame, exposure) of a scan's projector frames say: frames without light, frames with too much of it."""
     out: list[Finding] = []
     dark = tuple(frame for frame, exposure in exposures if exposure.dark)
@@ -223,7 +223,7 @@ def examine(
         radii = [float(np.median(np.hypot(*profile.points_mm[:, :2].T))) for profile in seen]
         spread = float(np.median([profile.residual_mm for profile in seen]))
         return _radius_off(float(np.median(radii)), spread, calibration, tuple(profile.frame for profile in seen))
-    placed: list[tuple[int, Slits, Placed]] = []
+    placed: list[tuple[int, Slits, PlacedSlits]] = []
     for frame, image in frames:
         slits, place = reconstructor.slits_by_order(image)
         if place is not None:
@@ -295,7 +295,7 @@ def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.u
     )
 
 
-def _sequence(seen: Sequence[tuple[Slits, Placed]], calibration: Calibration) -> str | None:
+def _sequence(seen: Sequence[tuple[Slits, PlacedSlits]], calibration: Calibration) -> str | None:
     """The stripes' colours as the frames show them, None where one is not clear."""
     rings = len(calibration.rings)
     total = np.zeros((rings + 1, 3))

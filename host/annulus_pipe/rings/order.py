@@ -26,7 +26,7 @@ ROUNDS = 2  # .. named anew where the wall then is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedSlits:
     """ring (N,): of every slit, or NONE. points (M, 3) mm, camera frame, of the named slits in their order. `fit` the
     head's pose, `radius_mm` the pipe's own radius, both from these points."""
 
@@ -38,7 +38,7 @@ class Placed:
 
 def by_order(
     slits: Slits, grid: PolarGrid, optics: RingOptics, expected_mm: FloatArray, radius_mm: float
-) -> Placed | None:
+) -> PlacedSlits | None:
     """Name a frame's slits from their order alone; None where too few lines show every ring, or there is no pipe.
 
     expected_mm : (K,) radial error of a point of each ring. radius_mm : of the pipe, roughly; the answer's is the
@@ -64,7 +64,7 @@ def by_order(
     if found is None:
         return None
     named = np.flatnonzero(ring != NONE)
-    return Placed(ring, every[named, ring[named]], *found)
+    return PlacedSlits(ring, every[named, ring[named]], *found)
 
 
 def _nearest(every: FloatArray, pose: Pose, radius_mm: float, apart_mm: float) -> NDArray[np.int64]:

@@ -26,7 +26,7 @@ STRIPE = {"R": (0.9, 0.04, 0.02), "G": (0.04, 0.8, 0.1), "B": (0.02, 0.08, 0.75)
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class PatternHead:
     """What the pattern has to suit. Diameters of the pipes it is for, mm; `nominal_mm`: the one in which stripes are
     of one width. `distance_mm`: projector behind camera (d_t), `sensor_radius_mm` (R_sen) and `glass_mm`, the length
     of the clear tube (d_g), Alzuhiri 2022, §3.2.3."""
@@ -41,10 +41,10 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class Pattern:
+class RingPattern:
     """Stripes from the innermost outwards; half-angles in radians at the projector."""
 
-    head: Head
+    head: PatternHead
     colours: str
     word: int  # as many neighbouring stripes occur once
     inner: tuple[float, ...]  # inner edge of each stripe
@@ -166,14 +166,14 @@ def stripe_colours(letters: str, word: int, stripes: int | None = None) -> str:
 
 
 def design(
-    head: Head,
+    head: PatternHead,
     colours: str,
     word: int,
     *,
     slit_px: float = 8.0,
     inner_full_deg: float | None = None,
     outer_full_deg: float | None = None,
-) -> Pattern:
+) -> RingPattern:
     """Stripes of one width in the image of the nominal pipe, between the innermost and the outermost angle.
 
     Angles not given are chosen: the inner one clear of the sensor's body and no more than 3 pipe radii ahead, the
@@ -220,7 +220,7 @@ def design(
         )
     starts = ends[0] + np.arange(stripes) * (stripe_px + slit_px)
     inside, outside = (_angle(head, radius, edge) for edge in (starts, starts + stripe_px))
-    return Pattern(
+    return RingPattern(
         head,
         colours,
         word,
@@ -231,7 +231,7 @@ def design(
     )
 
 
-def preview(pattern: Pattern, diameter_mm: float, every: int = 2) -> NDArray[np.uint8]:
+def preview(pattern: RingPattern, diameter_mm: float, every: int = 2) -> NDArray[np.uint8]:
     """(H, W, 3) RGB: what the camera sees, centred in a clean pipe; one pixel in `every`."""
     camera, r = pattern.head.camera, diameter_mm / 2
     x, y = np.arange(0, camera.width, every), np.arange(0, camera.height, every)
@@ -248,7 +248,7 @@ def preview(pattern: Pattern, diameter_mm: float, every: int = 2) -> NDArray[np.
     return np.asarray(np.rint(255 * out.reshape(len(y), len(x), 3)), np.uint8)
 
 
-def _check(head: Head) -> None:
+def _check(head: PatternHead) -> None:
     if head.camera.model == "mirror":
         raise AnnulusError("pattern design knows cameras that look ahead; this one looks at a mirror")
     for what, value in (
@@ -282,13 +282,13 @@ def _view(camera: Camera) -> float:
     return float(angle.min())
 
 
-def _widest(head: Head) -> float:
+def _widest(head: PatternHead) -> float:
     """Half-angle of the outermost edge that is still seen all round in the smallest pipe."""
     r = head.least_mm / 2
     return math.atan2(r, r / math.tan(_view(head.camera)) + head.distance_mm)
 
 
-def _distance_limit(head: Head, outer: float) -> float:
+def _distance_limit(head: PatternHead, outer: float) -> float:
     r = head.least_mm / 2
     return r / math.tan(outer) - r / math.tan(_view(head.camera))
 
@@ -299,7 +299,7 @@ def _seen_px(camera: Camera, radius_mm: float, ahead_mm: FloatArray) -> FloatArr
     return np.asarray(np.linalg.norm(camera.project(points) - [camera.cx, camera.cy], axis=1))
 
 
-def _angle(head: Head, radius_mm: float, seen_px: FloatArray) -> FloatArray:
+def _angle(head: PatternHead, radius_mm: float, seen_px: FloatArray) -> FloatArray:
     """(N,) half-angle at the projector of the wall seen so far from the principal point."""
     rays = head.camera.rays(np.stack([head.camera.cx + seen_px, np.full_like(seen_px, head.camera.cy)], axis=1))
     ahead = radius_mm * rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])

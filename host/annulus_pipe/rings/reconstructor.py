@@ -28,7 +28,7 @@ from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus_pipe.rings.lines import find_lines, line_bias, name_lines
 from annulus_pipe.rings.objects import without_objects
-from annulus_pipe.rings.order import Placed, by_order
+from annulus_pipe.rings.order import PlacedSlits, by_order
 from annulus_pipe.rings.outliers import reject_outliers
 from annulus_pipe.rings.pedestal import without_pedestal
 from annulus_pipe.rings.polar import polar_grid, unroll
@@ -226,7 +226,7 @@ class Reconstructor:
         could_be = np.ones((len(lines.position), len(self.calibration.rings)), np.bool_)
         return lines, could_be, named, {"crowded": lines.crowded, "faint": lines.shallow}
 
-    def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
+    def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, PlacedSlits | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""
         slits = find_slits(unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid), self._grid)
         return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)

@@ -34,7 +34,7 @@ JPEG_QUALITY = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class RecordedMark:
     """One as it was written. z_mm : of the head, NaN where not known. frame : index of the LED frame beside it."""
 
     time_ns: int  # host monotonic
@@ -46,7 +46,7 @@ class Mark:
     camera: int
 
     @classmethod
-    def from_note(cls, time_ns: int, note: object) -> "Mark":
+    def from_note(cls, time_ns: int, note: object) -> "RecordedMark":
         """Raises ValueError naming what is wrong, unless it is the photo: its mark is kept."""
         body = untrusted.mapping(note, "mark")
         z, clock, frame, photo = (body.get(name) for name in ("z_mm", "clock_deg", "frame", "photo"))
@@ -65,7 +65,7 @@ class Mark:
 class Marks:
     """In the order they were made. unread : malformed or damaged ones; left_out : beyond MARKS_MAX, not looked at."""
 
-    of: tuple[Mark, ...] = ()
+    of: tuple[RecordedMark, ...] = ()
     unread: int = 0
     left_out: int = 0
 
@@ -73,13 +73,13 @@ class Marks:
 def read_marks(recording: Recording) -> Marks:
     """Every mark that can be read, up to MARKS_MAX, of all parts."""
     count = recording.count(MARK_TOPIC)
-    found: list[Mark] = []
+    found: list[RecordedMark] = []
     malformed = 0
     for seen, (time_ns, _, note) in enumerate(recording.timed_notes(MARK_TOPIC)):
         if len(found) == MARKS_MAX:
             return Marks(tuple(found), malformed, count - seen)
         try:
-            found.append(Mark.from_note(time_ns, note))
+            found.append(RecordedMark.from_note(time_ns, note))
         except ValueError:
             malformed += 1
     return Marks(tuple(found), count - len(found))
@@ -96,7 +96,7 @@ def observations_of(scan: Scan) -> tuple[tuple[Observation, ...], int]:
     return tuple(found), marks.unread + marks.left_out
 
 
-def _observed(scan: Scan, mark: Mark, frames: Mapping[tuple[int, int], int]) -> Observation:
+def _observed(scan: Scan, mark: RecordedMark, frames: Mapping[tuple[int, int], int]) -> Observation:
     assert scan.recording is not None
     beside = None if mark.frame is None else frames.get((mark.frame, mark.camera))
     z_mm = mark.z_mm if math.isfinite(mark.z_mm) or beside is None else scan.frames[beside].z_mm

@@ -14,14 +14,13 @@ from annulus_pipe.controller import (
     TICK_HZ,
     TICKS_PER_US,
 )
-from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Fault, FaultCode, Stage, StateFlag, StatusCode
-from annulus_pipe.link.messages import Edge as EdgeEvent
+from annulus_pipe.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Stage, StateFlag, StatusCode
 from annulus_pipe.link.session import EventReceived
 from annulus_pipe.selftest.promise import Row, judged, not_wired
-from annulus_pipe.selftest.scope import LOOK_TICKS, Edge, Look, Scope
+from annulus_pipe.selftest.scope import LOOK_TICKS, Scope, ScopeLook, ScopeTrigger
 from annulus_pipe.vocabulary import Lamp
 
-Told = TypeVar("Told", EdgeEvent, Fault)
+Told = TypeVar("Told", Edge, Fault)
 
 WIRE = "GP8 (pin 11) to GP2 (pin 4)"
 LATENCY = {"rp2040": 9, "native": 0}  # ticks beyond the delay, a constant of the board
@@ -87,11 +86,11 @@ def configure(
     scope.client.request(Commit(generation))
 
 
-def _at_fall(period: int, later: int = 0) -> Edge:
-    return Edge(PIN_STEP, 1, period // 2 - BEFORE + later)
+def _at_fall(period: int, later: int = 0) -> ScopeTrigger:
+    return ScopeTrigger(PIN_STEP, 1, period // 2 - BEFORE + later)
 
 
-def _delay_of(look: Look, pin: int) -> int | None:
+def _delay_of(look: ScopeLook, pin: int) -> int | None:
     """Falling edge to lamp on, less the delay that was asked for; None: no flash in this look."""
     falls, rises = look.falls(PIN_SYNC), look.rises(pin)
     return rises[0] - falls[0] - DELAY if falls and rises else None
@@ -121,7 +120,7 @@ def _latency(scope: Scope, what: str, promise: str, pin: int, latency: int, edge
 
 def _stamps(scope: Scope) -> Row:
     """Of the edges just heard: the intervals between stamps against one another."""
-    ticks = [e.tick for e in _events(scope, EdgeEvent)]
+    ticks = [e.tick for e in _events(scope, Edge)]
     gaps = [(b - a) % 2**32 for a, b in itertools.pairwise(ticks)]
     gaps = [gap for gap in gaps if gap < 3 * PERIOD // 2]  # one event lost is no edge late
     what, promise = "Time stamp of an edge", "0 or +1 tick"
@@ -175,7 +174,7 @@ def _order(scope: Scope) -> Row:
     scope.disarm()
     scope.stand(ORDER_EDGES * ORDER_PERIOD / TICK_HZ + 1.0)
     letters = {Lamp.PROJECTOR: "P", Lamp.LED: "L", Lamp.DARK: "-"}
-    reported = "".join(letters[e.lamp] for e in _events(scope, EdgeEvent))[: len(seen)]
+    reported = "".join(letters[e.lamp] for e in _events(scope, Edge))[: len(seen)]
     expected = ("PPPPL" * 3)[:ORDER_EDGES]
     remark = "" if reported == seen else f"; told {reported}"
     return judged(
@@ -211,7 +210,7 @@ def _silence(scope: Scope) -> list[Row]:
     scope.client.request(Arm(ArmFlag.LAMPS))
     scope.quiet(0.12)
     faults = [e for e in _events(scope, Fault) if e.fault is FaultCode.HOST_TIMEOUT]
-    edges = _events(scope, EdgeEvent)
+    edges = _events(scope, Edge)
     what, promise = "Silent host to dark", f"{TIMEOUT_MS} ms, then nothing lights or moves"
     moves = StateFlag.TURNTABLE_MOVING in scope.status().state
     answer = scope.client.ask(Arm(ArmFlag.LAMPS))

@@ -15,7 +15,7 @@ from annulus_pipe.controller import (
 )
 from annulus_pipe.link.messages import Arm, ArmFlag, Burst, BurstCode, FaultCode, StateFlag, StatusCode
 from annulus_pipe.selftest.promise import Row, judged, not_wired
-from annulus_pipe.selftest.scope import BEGIN_TICKS, LOOK_TICKS, OWED_S, Edge, Look, Scope
+from annulus_pipe.selftest.scope import BEGIN_TICKS, LOOK_TICKS, OWED_S, Scope, ScopeLook, ScopeTrigger
 
 GROUND_WIRE = "GP7 (pin 10) to ground (pin 13)"
 GATE_WIRE = "GP7 (pin 10) to GP5 (pin 7)"
@@ -71,7 +71,7 @@ def reaction_row(scope: Scope) -> Row:
     times: list[int] = []
     latched = 0
     for _ in range(REACTIONS):
-        scope.begin(Edge(PIN_TRIGGER, 1), PIN_LED)
+        scope.begin(ScopeTrigger(PIN_TRIGGER, 1), PIN_LED)
         _fire(scope, "single", MICROWAVE_PULSE_MAX_TICKS)
         latched += scope.status().fault is FaultCode.INTERLOCK
         taken, _ = scope.taken()
@@ -109,21 +109,21 @@ def _fire(scope: Scope, code: str, chip: int, offset: int = -LEAD, repeat: int =
 
 
 def _look(
-    scope: Scope, edge: Edge, code: str, chip: int, offset: int = -LEAD, repeat: int = 1, period: int = 0
-) -> Look:
+    scope: Scope, edge: ScopeTrigger, code: str, chip: int, offset: int = -LEAD, repeat: int = 1, period: int = 0
+) -> ScopeLook:
     scope.begin(edge, PIN_LED)
     _fire(scope, code, chip, offset, repeat, period)
     taken, _ = scope.taken()
     look = scope.fetch()
     scope.client.request(Arm(ArmFlag(0)))
-    return look if taken else Look(PIN_LED, 0, (0,))
+    return look if taken else ScopeLook(PIN_LED, 0, (0,))
 
 
 def _pulse(scope: Scope, ticks: int) -> Row:
     what, promise = f"Microwave pulse {ticks / 100:g} us", f"{ticks} ticks, exact"
     later = max(0, ticks - LOOK_TICKS // 2)
-    rises = _look(scope, Edge(PIN_TRIGGER, 1), "single", ticks).rises(PIN_MICROWAVE)
-    falls = _look(scope, Edge(PIN_TRIGGER, 1, later), "single", ticks).falls(PIN_MICROWAVE)
+    rises = _look(scope, ScopeTrigger(PIN_TRIGGER, 1), "single", ticks).rises(PIN_MICROWAVE)
+    falls = _look(scope, ScopeTrigger(PIN_TRIGGER, 1, later), "single", ticks).falls(PIN_MICROWAVE)
     if len(rises) != 1 or len(falls) != 1:
         return judged(what, promise, f"{len(rises)} pulses seen", False)
     measured = falls[0] - rises[0]
@@ -135,7 +135,7 @@ def _code(scope: Scope, code: str) -> Row:
     bits = CODES[code]
     seen: list[tuple[int, int]] = []
     for delay in range(0, len(bits) * CHIP + LEAD, LOOK_TICKS):
-        look = _look(scope, Edge(PIN_TRIGGER, 1, delay), code, CHIP)
+        look = _look(scope, ScopeTrigger(PIN_TRIGGER, 1, delay), code, CHIP)
         levels = [(sample >> (PIN_MICROWAVE - PIN_LED)) & 1 for sample in look.samples]
         before = seen[-1][1] if seen else 0
         if levels[0] != before:
@@ -156,7 +156,7 @@ def _offset(scope: Scope, offset: int) -> Row:
     what = f"Trigger {offset:+d} ticks from chip 0, {TRIGGER_TICKS} long"
     period = 20_000
     lead = 100 + max(0, offset)
-    edge = Edge(PIN_TRIGGER, 0, period - TRIGGER_TICKS - lead)
+    edge = ScopeTrigger(PIN_TRIGGER, 0, period - TRIGGER_TICKS - lead)
     look = _look(scope, edge, "single", 100, offset, repeat=2, period=period)
     rises, falls, gate = look.rises(PIN_TRIGGER), look.falls(PIN_TRIGGER), look.rises(PIN_MICROWAVE)
     if not (len(rises) == len(falls) == len(gate) == 1):

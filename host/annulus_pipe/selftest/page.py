@@ -6,24 +6,24 @@ from pathlib import Path
 
 import jinja2
 
-from annulus_pipe.selftest.promise import Row, Verdict
+from annulus_pipe.selftest.promise import PromiseVerdict, Row
 from annulus_pipe.selftest.run import SelfTest
 from annulus_pipe.vocabulary import AnnulusError
 
 TEMPLATE = "page.html.j2"
 SHOWN = {
-    Verdict.KEPT: "kept",
-    Verdict.BROKEN: "BROKEN",
-    Verdict.NOT_WIRED: "not wired",
-    Verdict.NOT_TESTED: "not tested",
-    Verdict.INFORMS: "",
+    PromiseVerdict.KEPT: "kept",
+    PromiseVerdict.BROKEN: "BROKEN",
+    PromiseVerdict.NOT_WIRED: "not wired",
+    PromiseVerdict.NOT_TESTED: "not tested",
+    PromiseVerdict.INFORMS: "",
 }
 
 
 def verdict_line(test: SelfTest) -> str:
     """The result in a sentence."""
-    missing = sum(row.verdict is Verdict.NOT_WIRED for row in test.rows)
-    beyond = sum(row.verdict is Verdict.NOT_TESTED for row in test.rows)
+    missing = sum(row.verdict is PromiseVerdict.NOT_WIRED for row in test.rows)
+    beyond = sum(row.verdict is PromiseVerdict.NOT_TESTED for row in test.rows)
     broken = f"{test.broken} BROKEN" if test.broken else "none broken"
     return f"{test.kept} promises kept, {broken}, {missing} not wired, {beyond} beyond a board's own reach"
 
@@ -34,7 +34,7 @@ def render_page(test: SelfTest) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    untested = (Verdict.NOT_WIRED, Verdict.NOT_TESTED)
+    untested = (PromiseVerdict.NOT_WIRED, PromiseVerdict.NOT_TESTED)
     return environment.from_string(text).render(
         t=test,
         verdict=verdict_line(test),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class PromiseVerdict(StrEnum):
     KEPT = "kept"
     BROKEN = "broken"
     NOT_WIRED = "not wired"
@@ -17,7 +17,7 @@ class Row:
     what: str
     promise: str
     measured: str
-    verdict: Verdict
+    verdict: PromiseVerdict
     values: tuple[float, ...] = ()  # the numbers in `measured`
     unit: str = ""
     why: str = ""  # of a verdict that is neither kept nor broken, or what the number says
@@ -26,11 +26,11 @@ class Row:
 def judged(
     what: str, promise: str, measured: str, kept: bool, *values: float, unit: str = "ticks", why: str = ""
 ) -> Row:
-    return Row(what, promise, measured, Verdict.KEPT if kept else Verdict.BROKEN, values, unit, why)
+    return Row(what, promise, measured, PromiseVerdict.KEPT if kept else PromiseVerdict.BROKEN, values, unit, why)
 
 
 def not_wired(what: str, promise: str, wire: str) -> Row:
-    return Row(what, promise, "-", Verdict.NOT_WIRED, why=f"needs {wire}")
+    return Row(what, promise, "-", PromiseVerdict.NOT_WIRED, why=f"needs {wire}")
 
 
 BEYOND_A_BOARDS_OWN_REACH = (
@@ -38,28 +38,28 @@ BEYOND_A_BOARDS_OWN_REACH = (
         "Processor stands still: microwave and trigger low",
         "4 ms at most, and through the reset",
         "-",
-        Verdict.NOT_TESTED,
+        PromiseVerdict.NOT_TESTED,
         why="a processor that measures cannot stand still; proven on the emulator (-k stuck)",
     ),
     Row(
         "USB plug pulled while armed: all gates low",
         "3.1 ms",
         "-",
-        Verdict.NOT_TESTED,
+        PromiseVerdict.NOT_TESTED,
         why="the measurement goes over that plug; pull it by hand, First power-up, step 8",
     ),
     Row(
         "Outputs through power-on and reset",
         "low",
         "-",
-        Verdict.NOT_TESTED,
+        PromiseVerdict.NOT_TESTED,
         why="nothing measures during a reset; oscilloscope, First power-up, steps 1 and 9",
     ),
     Row(
         "Voltages, edges, drivers, lamps",
         "see Wiring",
         "-",
-        Verdict.NOT_TESTED,
+        PromiseVerdict.NOT_TESTED,
         why="levels are read back at the controller's own pads; oscilloscope, steps 6, 10 and 11",
     ),
 )

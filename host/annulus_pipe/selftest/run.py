@@ -19,7 +19,7 @@ from annulus_pipe.selftest.microwave import (
     reaction_row,
     unwired_rows,
 )
-from annulus_pipe.selftest.promise import BEYOND_A_BOARDS_OWN_REACH, Row, Verdict, not_wired
+from annulus_pipe.selftest.promise import BEYOND_A_BOARDS_OWN_REACH, PromiseVerdict, Row, not_wired
 from annulus_pipe.selftest.scope import Scope
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -53,11 +53,11 @@ class SelfTest:
 
     @property
     def broken(self) -> int:
-        return sum(row.verdict is Verdict.BROKEN for row in self.rows)
+        return sum(row.verdict is PromiseVerdict.BROKEN for row in self.rows)
 
     @property
     def kept(self) -> int:
-        return sum(row.verdict is Verdict.KEPT for row in self.rows)
+        return sum(row.verdict is PromiseVerdict.KEPT for row in self.rows)
 
     def to_dict(self) -> dict[str, object]:
         return asdict(self) | {"kept": self.kept, "broken": self.broken}
@@ -126,4 +126,6 @@ def _round_trip(client: Client) -> Row:
         times.append(1000 * (client.now_s() - began))
     low, middle, high = min(times), statistics.median(times), max(times)
     text = f"{middle:.2f} ms; {low:.2f} .. {high:.2f} ms, {PINGS} times"
-    return Row("Question to answer", "-", text, Verdict.INFORMS, (low, middle, high), "ms", "median; lowest, highest")
+    return Row(
+        "Question to answer", "-", text, PromiseVerdict.INFORMS, (low, middle, high), "ms", "median; lowest, highest"
+    )

@@ -33,7 +33,7 @@ SETTLE_S = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ScopeLook:
     """Levels of the pins `first` .. `first + 3`, the first sample `begin` ticks after the edge that began the look."""
 
     first: int
@@ -53,7 +53,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Edge:
+class ScopeTrigger:
     """What begins a look: an edge of a pin, and how long after it the look begins."""
 
     pin: int
@@ -74,7 +74,7 @@ class Scope:
         assert isinstance(reply, StatusReply)
         return reply
 
-    def begin(self, edge: Edge, first: int, looks: int = 1) -> None:
+    def begin(self, edge: ScopeTrigger, first: int, looks: int = 1) -> None:
         self.client.request(Measure(looks, edge.pin, edge.level, first, edge.delay))
         self._edge, self._first, self._looks = edge, first, looks
 
@@ -97,16 +97,16 @@ class Scope:
             taken, differs = self.taken()
         return taken, differs
 
-    def fetch(self, latest: bool = False) -> Look:
+    def fetch(self, latest: bool = False) -> ScopeLook:
         samples: list[int] = []
         for word in range(0, LOOK_TICKS // TICKS_A_WORD, WORDS_A_REPLY):
             words = struct.unpack(f"<{WORDS_A_REPLY}I", self._samples(int(latest), word).bits)
             samples += [(w >> shift) & 15 for w in words for shift in range(28, -1, -4)]
-        return Look(self._first, self._edge.delay + BEGIN_TICKS, tuple(samples))
+        return ScopeLook(self._first, self._edge.delay + BEGIN_TICKS, tuple(samples))
 
-    def alike(self, edge: Edge, first: int, looks: int) -> list[tuple[Look, int]]:
+    def alike(self, edge: ScopeTrigger, first: int, looks: int) -> list[tuple[ScopeLook, int]]:
         """So many looks while edges come: each look that was seen, and how often. Fewer when the edges end."""
-        seen: list[tuple[Look, int]] = []
+        seen: list[tuple[ScopeLook, int]] = []
         while looks > 0:
             self.begin(edge, first, looks)
             taken, differs = self.wait()

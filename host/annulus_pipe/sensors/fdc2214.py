@@ -13,7 +13,7 @@ and as a capacitance, G / omega.
 import math
 from dataclasses import dataclass
 
-from annulus_pipe.sensors.i2c import Bus, Chip, I2cError
+from annulus_pipe.sensors.i2c import Bus, I2cChip, I2cError
 
 CHANNELS = ("c1_pf", "c2_pf", "c3_pf", "cref_pf")
 LOSSES = ("loss1_ff", "loss2_ff", "loss3_ff")
@@ -70,7 +70,7 @@ class Tank:
 TANK = Tank()
 
 
-class Fdc2214(Chip):
+class Fdc2214(I2cChip):
     """`adc` reads the tanks' rectified amplitudes, where there is one."""
 
     def __init__(
@@ -117,7 +117,7 @@ class Fdc2214(Chip):
         return self._tank.capacitance_pf(data)
 
 
-class Ads1115(Chip):
+class Ads1115(I2cChip):
     """ADC of the tanks' amplitudes: one reading a call, +-2.048 V over 16 bits, 475 a second."""
 
     CONVERSION, CONFIG = 0x00, 0x01

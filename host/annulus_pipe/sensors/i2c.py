@@ -65,7 +65,7 @@ def open_bus(number: int) -> Bus:
     return bus
 
 
-class Chip:
+class I2cChip:
     """One address on a bus. `faults` counts by reason: retried, no answer, brown-out, stale.
 
     lit : whether the head's lamps flash, head_c : its temperature; for a chip that judges by them.

@@ -6,7 +6,7 @@ how far the head is turned clockwise, looking ahead.
 
 import math
 
-from annulus_pipe.sensors.i2c import Bus, Chip, I2cError
+from annulus_pipe.sensors.i2c import Bus, I2cChip, I2cError
 
 POWER, FILTER, RANGE, ACCELERATION, TEMPERATURE, WHO = 0x6B, 0x1A, 0x1C, 0x3B, 0x41, 0x75
 WHO_AM_I = 0x68
@@ -18,7 +18,7 @@ SHAKES = 16  # readings over which the shaking is taken
 LEAST_G = 0.3  # across the pipe: with less, a head stands on end and has no roll
 
 
-class Mpu6050(Chip):
+class Mpu6050(I2cChip):
     def __init__(self, bus: Bus, address: int = 0x68, name: str = "imu") -> None:
         super().__init__(bus, address)
         self.name = name

@@ -7,7 +7,7 @@ may draw is less in a hot head: the limit falls with the head's temperature, and
 import math
 from dataclasses import dataclass
 
-from annulus_pipe.sensors.i2c import Bus, Chip
+from annulus_pipe.sensors.i2c import Bus, I2cChip
 
 CONFIG, SHUNT, VOLTS, CALIBRATION, MANUFACTURER, DIE = 0x00, 0x01, 0x02, 0x05, 0xFE, 0xFF
 IDENTITY = {MANUFACTURER: 0x5449, DIE: 0x2260}
@@ -44,8 +44,8 @@ class Rail:
 RAIL = Rail()
 
 
-class Ina226(Chip):
-    """Needs `lit` and `head_c` of Chip to say what a lamp should draw, and may."""
+class Ina226(I2cChip):
+    """Needs `lit` and `head_c` of I2cChip to say what a lamp should draw, and may."""
 
     def __init__(self, bus: Bus, address: int = 0x40, rail: Rail = RAIL, name: str = "supply") -> None:
         super().__init__(bus, address)

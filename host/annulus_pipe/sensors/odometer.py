@@ -37,7 +37,7 @@ LOST_EDGES = 16  # a loss of counts is told 0.1 s late at most: so many edges ma
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FlashPosition:
     """Where a flash was."""
 
     z_mm: float
@@ -50,13 +50,13 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class CountingGap:
     """A stretch in which nobody counted, ended by the first edge that was counted again."""
 
     host_ns: int  # of that edge
     seconds: float  # without odometer
     from_mm: float
-    place: Place  # assumed, at that edge
+    place: FlashPosition  # assumed, at that edge
     why: str = RESTARTED
 
     def __str__(self) -> str:
@@ -99,7 +99,7 @@ class Odometer:
     def __init__(self, mm_per_count: float, max_speed_mm_s: float = MAX_SPEED_MM_S) -> None:
         self.gaps = 0
         self.zeroed_mm: float | None = None  # where the head was when the last `zero` took effect
-        self.gap: Gap | None = None  # the last one, until somebody has told it
+        self.gap: CountingGap | None = None  # the last one, until somebody has told it
         self._mm_per_count = mm_per_count
         self._max_speed = max_speed_mm_s  # mm/s
         self._segments: deque[_Segment] = deque(maxlen=SEGMENTS_KEPT)
@@ -119,12 +119,12 @@ class Odometer:
         return self._recent[-1][1] if self._recent else None
 
     @property
-    def here(self) -> Place | None:
+    def here(self) -> FlashPosition | None:
         """The same, with how well it is known."""
         if not self._recent:
             return None
         segment = self._segments[-1]
-        return Place(self._recent[-1][1], segment.number, segment.bound_mm)
+        return FlashPosition(self._recent[-1][1], segment.number, segment.bound_mm)
 
     def zero(self) -> None:
         """The next edge that is heard is at z = 0, and so it goes on from there. Frames lit before keep their z."""
@@ -181,7 +181,7 @@ class Odometer:
         number = CUT_SEGMENT + min(which, CUTS_MAX - 1) * CUT_SEGMENTS
         self._segments.append(replace(last, number=number, bound_mm=ANYWHERE_MM))
 
-    def counted_on(self, edge: int, counts: int, place: Place) -> Place | None:
+    def counted_on(self, edge: int, counts: int, place: FlashPosition) -> FlashPosition | None:
         """Behind a cut: where an edge of this boot was, by one who counted through it. Its place, where it tells ours.
 
         It does where that edge was heard behind the cut, and nothing but edges since: then no `zero` is between.
@@ -196,7 +196,7 @@ class Odometer:
         self._segments[0] = replace(here, start_mm=start_mm, number=place.segment, bound_mm=place.bound_mm)
         return place
 
-    def place(self, flash: Flash) -> Place | None:
+    def place(self, flash: Flash) -> FlashPosition | None:
         """Of a frame, from its flash; None when that boot's edges were never heard, too long ago, or before a cut."""
         before_cut = self._heard_from is not None and self._heard_from > (flash.epoch, flash.edge)
         stood = EdgeFlag.ODOMETER_FROZEN in flash.flags
@@ -246,13 +246,13 @@ class Odometer:
         """Whether edges of that boot were heard."""
         return any(segment.epoch == flash.epoch for segment in reversed(self._segments))
 
-    def _place(self, flash: Flash) -> Place:
+    def _place(self, flash: Flash) -> FlashPosition:
         segment = self._segments[-1]
         if segment.epoch != flash.epoch or segment.first_edge > flash.edge:
             of_boot = [segment for segment in self._segments if segment.epoch == flash.epoch]
             begun = [segment for segment in of_boot if segment.first_edge <= flash.edge]
             segment = begun[-1] if begun else of_boot[0]
-        return Place(segment.start_mm + self._moved(flash), segment.number, segment.bound_mm)
+        return FlashPosition(segment.start_mm + self._moved(flash), segment.number, segment.bound_mm)
 
     def _another_boot(self, flash: Flash, host_ns: int, nonce: int | None) -> None:
         """The first edge of a boot that is new to us."""
@@ -286,9 +286,9 @@ class Odometer:
         last_mm = self._recent[-1][1] if self._recent else 0.0
         travel_mm = self.speed_mm_s * min(gap_ns, EXPECT_NS) / 1e9
         bound_mm = min(before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9, ANYWHERE_MM)
-        place = Place(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
+        place = FlashPosition(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
         self.gaps += 1
-        self.gap = Gap(host_ns, gap_ns / 1e9, last_mm, place, why)
+        self.gap = CountingGap(host_ns, gap_ns / 1e9, last_mm, place, why)
         start_mm = place.z_mm - self._moved(flash)
         self._begin(_Segment(flash.epoch, flash.edge, start_mm, place.segment, bound_mm, nonce))
 

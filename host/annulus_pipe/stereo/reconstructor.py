@@ -29,7 +29,7 @@ from annulus_pipe.rings.decode import NONE
 from annulus_pipe.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
 from annulus_pipe.stereo.merge import BLUNT, CONTRADICTED, EDGE, KNOWN, Merged, Sight, merge
 from annulus_pipe.stereo.points import beside, known, outwards, radius_sigma, to_pipe
-from annulus_pipe.stereo.view import Expected, Seen, View, view_of
+from annulus_pipe.stereo.view import Expected, ObservedSlits, View, view_of
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.pose import Fit, fit_pose
 from annulus_pipe.wall.profile import Profile
@@ -66,7 +66,7 @@ TWO_WALLS, CAMERA_MISSING = "cameras contradict", "camera missing"  # keys of `r
 class _Look:
     """What one camera's frame said."""
 
-    seen: Seen
+    seen: ObservedSlits
     which: NDArray[np.int64]  # (K, J) slit, -1 for none
     sight: Sight
 
@@ -126,7 +126,7 @@ class StereoReconstructor:
         """
         pipe = self.calibration.pipe_radius_mm
         marks = [("", clock())]
-        seen: dict[int, Seen] = {}
+        seen: dict[int, ObservedSlits] = {}
         rejected: dict[str, int] = {}
         for number, image in images.items():
             if number not in self.views:
@@ -211,7 +211,7 @@ class StereoReconstructor:
     def _read(
         self,
         view: View,
-        seen: Seen,
+        seen: ObservedSlits,
         expected: Expected,
         tolerance: float,
         bias_px: float,
@@ -301,7 +301,7 @@ def generators(calibration: Calibration, directions: int) -> tuple[FloatArray, F
 
 
 def _sight(
-    seen: Seen,
+    seen: ObservedSlits,
     which: NDArray[np.int64],
     place: FloatArray,
     course: FloatArray,

@@ -37,7 +37,7 @@ SOME = 8  # lines, of which one says how far a ring's image moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class ObservedSlits:
     """The slits (N,) of one frame, the colours beside them, and (N, K) which rings they could be by those."""
 
     slits: Slits
@@ -95,7 +95,7 @@ class View:
         _expect(self.lens, cones, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
         return Expected(by_generator, *by_line)
 
-    def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[Seen, dict[str, int]]:
+    def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[ObservedSlits, dict[str, int]]:
         """The slits of one frame, and how many were left out, by reason."""
         image_bgr = without_pedestal(image_bgr, self.grid.spacing_px)
         slits = find_slits(unroll(image_bgr, self.grid), self.grid)
@@ -106,9 +106,9 @@ class View:
         unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
         widest = WIDE * middle(slits.width.copy(), len(slits.width)) if len(slits.width) else 0.0
-        return Seen(slits, inside, outside, readings(inside, outside, self.colours), widest), rejected
+        return ObservedSlits(slits, inside, outside, readings(inside, outside, self.colours), widest), rejected
 
-    def name(self, seen: Seen, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
+    def name(self, seen: ObservedSlits, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
         """Ring of each slit, or NONE; and (N, K) px from where each ring should be. tolerance : of the wall, of the
         radius."""
         slits = seen.slits
@@ -127,7 +127,7 @@ class View:
         return ring, off
 
     def without_outliers(
-        self, ring: NDArray[np.int64], seen: Seen, off: FloatArray, expected: Expected
+        self, ring: NDArray[np.int64], seen: ObservedSlits, off: FloatArray, expected: Expected
     ) -> tuple[dict[str, int], FloatArray]:
         """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
         step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius[:, ::SOME]).T)
@@ -135,7 +135,7 @@ class View:
         _as_usual(ring, seen.slits.direction, expected.by_angle, width)
         return reject_outliers(ring, replace(seen.slits, width=width), off, step, len(self.grid.cosine))
 
-    def table(self, ring: NDArray[np.int64], seen: Seen) -> tuple[FloatArray, NDArray[np.int64]]:
+    def table(self, ring: NDArray[np.int64], seen: ObservedSlits) -> tuple[FloatArray, NDArray[np.int64]]:
         """(K, J) the samples at which each ring was seen, NaN for none; and which slit that is, -1 for none."""
         shape = self.optics.bend.shape
         place, which = np.full(shape, np.nan), np.full(shape, -1)

@@ -1,6 +1,6 @@
 """Where scans and results lie: a path of this machine, or a URL of a store.
 
-    place = Place("s3://results/season")            # or a folder
+    place = StoragePath("s3://results/season")            # or a folder
     place.write("ranges/0007.parquet", content)     # appears whole or not at all
     place.names("ranges/"), place.read("ranges/0007.parquet"), place.remove("ranges/0007.parquet")
 
@@ -21,7 +21,7 @@ from typing import IO, TypeAlias, cast
 
 from annulus_pipe import untrusted
 from annulus_pipe.storage.remote import (
-    Told,
+    StoreEntry,
     Url,
     found_below,
     listed,
@@ -68,7 +68,7 @@ def is_file(place: Where) -> bool:
     return True
 
 
-def opened_file(place: Where, known: Told | None = None) -> IO[bytes]:
+def opened_file(place: Where, known: StoreEntry | None = None) -> IO[bytes]:
     """For reading; `known`: what a store said of it when somebody opened it. OSError as it comes, and for what is no
     file: a pipe would keep us waiting for ever."""
     if not isinstance(place, Path):
@@ -81,7 +81,7 @@ def opened_file(place: Where, known: Told | None = None) -> IO[bytes]:
 
 
 @dataclass(frozen=True)
-class Place:
+class StoragePath:
     """A folder that results are written to, here or in a store. Raises AnnulusError, one line, and nothing else."""
 
     place: "Path | str | Url"
@@ -98,9 +98,9 @@ class Place:
         """The folder where it is one of this machine's."""
         return self._where if isinstance(self._where, Path) else None
 
-    def __truediv__(self, name: str) -> "Place":
+    def __truediv__(self, name: str) -> "StoragePath":
         """A folder in it."""
-        return Place(self._of(name))
+        return StoragePath(self._of(name))
 
     def read(self, name: str) -> bytes | None:
         """A file's content; None where there is no such file."""
@@ -161,12 +161,12 @@ class Place:
 
 
 @contextlib.contextmanager
-def writer(place: "Place | Path | str | Url", name: str) -> Iterator[IO[bytes]]:
+def writer(place: "StoragePath | Path | str | Url", name: str) -> Iterator[IO[bytes]]:
     """A file to be written and sought in, which is `name` in the place when the block ends well; else nothing changes.
 
     What goes to a store waits in a file of this machine (TMPDIR), and is read from there as it is put.
     """
-    target = place if isinstance(place, Place) else Place(place)
+    target = place if isinstance(place, StoragePath) else StoragePath(place)
     file = target._of(name)
     if isinstance(file, Path):
         with _told_of(file, "written"):
@@ -195,4 +195,15 @@ def _told_of(file: Where, what: str) -> Iterator[None]:
         raise AnnulusError(f"{file}: cannot be {what}: {error}.") from None
 
 
-__all__ = ["Place", "Told", "Url", "Where", "is_file", "listed", "opened_file", "read_whole", "where", "writer"]
+__all__ = [
+    "StoragePath",
+    "StoreEntry",
+    "Url",
+    "Where",
+    "is_file",
+    "listed",
+    "opened_file",
+    "read_whole",
+    "where",
+    "writer",
+]

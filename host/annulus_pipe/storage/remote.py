@@ -66,7 +66,7 @@ class ChangedError(AnnulusError):
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class StoreEntry:
     """What a store says of a file: its bytes, and a word that changes with its content; empty where it has none."""
 
     size: int
@@ -125,12 +125,12 @@ class Url:
         return Url(f"{self.text.rstrip('/')}/{name}")
 
 
-def stat_remote(url: Url) -> Told:
+def stat_remote(url: Url) -> StoreEntry:
     """What the store says of a file now. FileNotFoundError, PermissionError; AnnulusError where it does not answer."""
     return _parsed(_asked(url, "info", lambda store, path: _in_time(store, store.info, path)), url)
 
 
-def _parsed(info: Any, url: Url) -> Told:
+def _parsed(info: Any, url: Url) -> StoreEntry:
     if info.get("type") == "directory":
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(url))
     tag = next(
@@ -138,10 +138,10 @@ def _parsed(info: Any, url: Url) -> Told:
     )
     if isinstance(tag, datetime):
         tag = tag.isoformat()
-    return Told(int(info["size"] or 0), str(tag))
+    return StoreEntry(int(info["size"] or 0), str(tag))
 
 
-def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
+def listed(folder: Url, prefix: str = "") -> dict[str, StoreEntry]:
     """The files of a folder (not of those in it) whose names begin so, by name. Empty where there is none."""
 
     def ask(store: Any, path: str) -> Any:
@@ -218,7 +218,7 @@ def remove_remote(url: Url) -> None:
         _asked(url, "remove", lambda store, path: _in_time(store, store.rm_file, path))
 
 
-def fetched(url: Url, start: int, end: int, known: Told) -> bytes:
+def fetched(url: Url, start: int, end: int, known: StoreEntry) -> bytes:
     """Bytes of a file that was `known` so. ChangedError where it is not that any more."""
     if end <= start:
         return b""
@@ -368,7 +368,7 @@ class RemoteFile:
     bytes are to be fetched at least: of a walk, which looks at little pieces one behind the other.
     """
 
-    def __init__(self, url: Url, known: Told | None = None, ahead: int = 0) -> None:
+    def __init__(self, url: Url, known: StoreEntry | None = None, ahead: int = 0) -> None:
         """`known`: what it was when somebody opened it. Raises as `stat_remote`, ChangedError where it is
         that no more."""
         if known is None or not known.tag or url.scheme not in ("s3", "s3a"):
@@ -452,13 +452,13 @@ def joined(ranges: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
 
 class _Kept(threading.local):
     def __init__(self) -> None:
-        self.files: OrderedDict[tuple[Url, Told | None], RemoteFile] = OrderedDict()
+        self.files: OrderedDict[tuple[Url, StoreEntry | None], RemoteFile] = OrderedDict()
 
 
 _KEPT = _Kept()
 
 
-def remote_file(url: Url, known: Told | None) -> RemoteFile:
+def remote_file(url: Url, known: StoreEntry | None) -> RemoteFile:
     """An opened file, kept by this thread: the next one who asks has it with what it holds."""
     files = _KEPT.files
     key = url, known

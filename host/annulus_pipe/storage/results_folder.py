@@ -70,7 +70,7 @@ _PLACE = {
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ListedPlace:
     """A defect, a feature or an undecided place of summary.json. None where the file says nothing or null.
 
     measures: of a feature, (name with unit, value, k2).
@@ -213,14 +213,14 @@ def figures(summary: Mapping[str, Any]) -> dict[str, float]:
     return out
 
 
-def places(summary: Mapping[str, Any], name: str) -> tuple[Place, ...]:
+def places(summary: Mapping[str, Any], name: str) -> tuple[ListedPlace, ...]:
     found = summary.get(name)
     if not isinstance(found, list) or len(found) > PLACES_MAX:
         raise ValueError(f"{name} must be a list of at most {PLACES_MAX}")
     return tuple(_place(mapping(one, f"{name}, entry {i + 1},"), f"{name}[{i}]") for i, one in enumerate(found))
 
 
-def _place(found: Mapping[str, Any], what: str) -> Place:
+def _place(found: Mapping[str, Any], what: str) -> ListedPlace:
     def mm(name: str, low: float = -MM_MAX) -> float:
         return within(found.get(name), f"{what}.{name}", low, MM_MAX)
 
@@ -233,7 +233,7 @@ def _place(found: Mapping[str, Any], what: str) -> Place:
         mm(name) if name in found else z + half for name, half in (("z_from_mm", -length / 2), ("z_to_mm", length / 2))
     )
     severity = found.get("severity")
-    return Place(
+    return ListedPlace(
         kind=text(found.get("kind"), f"{what}.kind", 100),
         z_mm=z,
         z_from_mm=first,

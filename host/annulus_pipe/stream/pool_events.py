@@ -21,7 +21,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class FrameFailed:
     """The worker says it cannot do this frame; it lives on."""
 
     worker: int
@@ -59,4 +59,4 @@ class Report:
     final: bool
 
 
-PoolEvent = Ready | Done | Failed | FrameLost | Died | Report
+PoolEvent = Ready | Done | FrameFailed | FrameLost | Died | Report

@@ -27,7 +27,7 @@ class Overwritten(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RingSlot:
     """Where a frame lies: the slot, and the stamp the slot carries as long as that frame is in it."""
 
     slot: int
@@ -77,14 +77,14 @@ class FrameRing:
     def __len__(self) -> int:
         return len(self._slots)
 
-    def claim(self) -> Place | None:
+    def claim(self) -> RingSlot | None:
         """A free slot for the next frame, held once by the caller; None when every slot is lent or held."""
         place = self.lend()
         if place is not None:
             self.filled(place)
         return place
 
-    def lend(self) -> Place | None:
+    def lend(self) -> RingSlot | None:
         """A free slot for somebody else to write, who says when it is `filled`, or will not be: `give_back`."""
         if not self._free:
             return None
@@ -96,44 +96,44 @@ class FrameRing:
         _STAMP.pack_into(
             self._memory, number * self._stride, 0
         )  # readers of the frame before see at once that it is gone
-        return Place(number, slot.stamp)
+        return RingSlot(number, slot.stamp)
 
-    def filled(self, place: Place) -> None:
+    def filled(self, place: RingSlot) -> None:
         """A lent slot has its frame, and is held once by the caller."""
         self._take_back(place).holders = 1
 
-    def give_back(self, place: Place) -> None:
+    def give_back(self, place: RingSlot) -> None:
         """A lent slot is free again. Only when nobody can write it any more."""
         self._take_back(place)
         self._free.append(place.slot)
 
-    def write(self, place: Place, image: Image) -> None:
+    def write(self, place: RingSlot, image: Image) -> None:
         """Copy `image` (uint8, any shape, at most `frame_bytes`) into a claimed slot, then put its stamp on it."""
         _write(self._memory, self.frame_bytes, place, image)
 
-    def view(self, header: FrameHeader, place: Place) -> Image:
+    def view(self, header: FrameHeader, place: RingSlot) -> Image:
         """The image in a slot the caller holds; valid until released."""
         return _image(self._memory, self._stride, header, place)
 
-    def hold(self, place: Place) -> None:
+    def hold(self, place: RingSlot) -> None:
         """One more holder."""
         self._checked(place).holders += 1
 
-    def release(self, place: Place) -> None:
+    def release(self, place: RingSlot) -> None:
         """One holder less; the last one frees the slot."""
         slot = self._checked(place)
         slot.holders -= 1
         if slot.holders == 0:
             self._free.append(place.slot)
 
-    def _take_back(self, place: Place) -> _Slot:
+    def _take_back(self, place: RingSlot) -> _Slot:
         slot = self._slots[place.slot]
         if slot.stamp != place.stamp or place.slot not in self._lent:
             raise ValueError(f"{place} is not lent")
         self._lent.remove(place.slot)
         return slot
 
-    def _checked(self, place: Place) -> _Slot:
+    def _checked(self, place: RingSlot) -> _Slot:
         slot = self._slots[place.slot]
         if slot.stamp != place.stamp or slot.holders <= 0:
             raise ValueError(f"{place} is not held: released twice?")
@@ -154,7 +154,7 @@ class RingWriter:
         self._frame_bytes = frame_bytes
         self._memory = mmap.mmap(fd, os.fstat(fd).st_size)
 
-    def write(self, place: Place, image: Image) -> None:
+    def write(self, place: RingSlot, image: Image) -> None:
         """As FrameRing.write."""
         _write(self._memory, self._frame_bytes, place, image)
 
@@ -176,7 +176,7 @@ class RingView:
         self._memory = mmap.mmap(fd, size, prot=mmap.PROT_READ)
 
     @contextmanager
-    def frame(self, header: FrameHeader, place: Place) -> Iterator[Image]:
+    def frame(self, header: FrameHeader, place: RingSlot) -> Iterator[Image]:
         """The image, without a copy. Raises Overwritten on entry or exit when the slot holds another frame."""
         if not 0 <= place.slot < self._slots or header.size > self._frame_bytes:
             raise ValueError(f"{place} and {header.size} bytes lie outside the ring")
@@ -184,7 +184,7 @@ class RingView:
         yield _image(self._memory, self._stride, header, place)
         self._check(place)
 
-    def _check(self, place: Place) -> None:
+    def _check(self, place: RingSlot) -> None:
         if _STAMP.unpack_from(self._memory, place.slot * self._stride)[0] != place.stamp:
             raise Overwritten(f"slot {place.slot} no longer holds frame stamp {place.stamp}")
 
@@ -198,7 +198,7 @@ def stride_of(frame_bytes: int) -> int:
     return _PAGE + -(-frame_bytes // _PAGE) * _PAGE
 
 
-def _write(memory: mmap.mmap, frame_bytes: int, place: Place, image: Image) -> None:
+def _write(memory: mmap.mmap, frame_bytes: int, place: RingSlot, image: Image) -> None:
     flat = np.ascontiguousarray(image).reshape(-1)
     if image.dtype != np.uint8 or flat.nbytes > frame_bytes:
         raise ValueError(f"{flat.nbytes} bytes of {image.dtype} do not fit a slot of {frame_bytes} bytes")
@@ -207,5 +207,5 @@ def _write(memory: mmap.mmap, frame_bytes: int, place: Place, image: Image) -> N
     _STAMP.pack_into(memory, start, place.stamp)
 
 
-def _image(memory: mmap.mmap, stride: int, header: FrameHeader, place: Place) -> Image:
+def _image(memory: mmap.mmap, stride: int, header: FrameHeader, place: RingSlot) -> Image:
     return np.frombuffer(memory, np.uint8, header.size, place.slot * stride + _PAGE).reshape(header.shape)

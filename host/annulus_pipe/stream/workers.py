@@ -31,8 +31,8 @@ import zmq
 from annulus_pipe import untrusted
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.stream.orphan import NO_MEMORY
-from annulus_pipe.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
-from annulus_pipe.stream.ring import FrameRing, Place
+from annulus_pipe.stream.pool_events import Died, Done, FrameFailed, FrameLost, PoolEvent, Ready, Report
+from annulus_pipe.stream.ring import FrameRing, RingSlot
 from annulus_pipe.vocabulary import AnnulusError
 
 MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
@@ -80,7 +80,7 @@ class Shared:
 @dataclass(slots=True)
 class _InHand:
     header: FrameHeader
-    places: tuple[Place, ...]
+    places: tuple[RingSlot, ...]
     since: float
 
 
@@ -178,7 +178,11 @@ class WorkerPool:
         return [worker for worker in self._workers.values() if not worker.spare]
 
     def offer(
-        self, header: FrameHeader, place: Place, extra: Any = None, beside: Sequence[tuple[FrameHeader, Place]] = ()
+        self,
+        header: FrameHeader,
+        place: RingSlot,
+        extra: Any = None,
+        beside: Sequence[tuple[FrameHeader, RingSlot]] = (),
     ) -> bool:
         """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room.
 
@@ -410,7 +414,9 @@ class WorkerPool:
                 self._took_s.append(now - max(task.since, worker.answered))
                 worker.answered = now
                 happened.append(
-                    Done(number, task.header, body[1]) if kind == "done" else Failed(number, task.header, str(body[1]))
+                    Done(number, task.header, body[1])
+                    if kind == "done"
+                    else FrameFailed(number, task.header, str(body[1]))
                 )
             elif kind == "broken":
                 worker.broken = str(body)

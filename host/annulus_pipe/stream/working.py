@@ -21,7 +21,7 @@ import zmq
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.stream.orphan import end_with_parent, is_dead
-from annulus_pipe.stream.ring import Overwritten, Place, RingView
+from annulus_pipe.stream.ring import Overwritten, RingSlot, RingView
 from annulus_pipe.vocabulary import AnnulusError
 
 REST_MS = 500
@@ -31,7 +31,7 @@ _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 Socket = zmq.Socket[bytes]
 
 
-class Job(Protocol):
+class WorkerJob(Protocol):
     """What a worker does. Exceptions in `frame` cost that frame only."""
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
@@ -48,14 +48,14 @@ class Job(Protocol):
 
 
 @runtime_checkable
-class FlashJob(Job, Protocol):
+class FlashJob(WorkerJob, Protocol):
     """A job that takes frames of several cameras at once."""
 
     def flash(self, frames: Sequence[tuple[FrameHeader, Image]], extra: Any) -> Any:
         """As `frame`, for all the frames of one flash that are in one task."""
 
 
-def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) -> None:
+def serve(argument: str, prepare: Callable[[Any], WorkerJob], rest_ms: int = REST_MS) -> None:
     """Run one worker: `argument` is what WorkerPool put on the command line, `prepare` makes the job from the setup."""
     link: Mapping[str, Any] = json.loads(argument)
     end_with_parent(link["parent"], signal.SIGKILL)  # until there is a job to close
@@ -74,7 +74,7 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
     def answer(kind: str, body: Any) -> None:
         results.send(msgpack.packb([link["worker"], kind, body]))
 
-    job: Job | None = None
+    job: WorkerJob | None = None
     idle_by = 0.0
     leave_uncollected()
     answer("warm", None)
@@ -118,16 +118,16 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
             shutil.rmtree(Path(link["results"].removeprefix("ipc://")).parent, ignore_errors=True)
 
 
-def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any], None]) -> None:
+def _one_frame(job: WorkerJob, ring: RingView, body: Any, answer: Callable[[str, Any], None]) -> None:
     raw, slot, stamp, extra, *beside = body
     try:
         header = FrameHeader.from_dict(raw)
         with ExitStack() as held:
-            image = held.enter_context(ring.frame(header, Place(slot, stamp)))
+            image = held.enter_context(ring.frame(header, RingSlot(slot, stamp)))
             frames = [(header, image)]
             for other, its_slot, its_stamp in beside:
                 its = FrameHeader.from_dict(other)
-                frames.append((its, held.enter_context(ring.frame(its, Place(its_slot, its_stamp)))))
+                frames.append((its, held.enter_context(ring.frame(its, RingSlot(its_slot, its_stamp)))))
             if isinstance(job, FlashJob):
                 result = job.flash(frames, extra)
             elif not beside:

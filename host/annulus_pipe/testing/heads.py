@@ -20,7 +20,7 @@ from typing import Self
 from annulus_pipe.controller import PIN_INTERLOCK, PIN_SYNC, TICK_HZ, TICK_NS, TICKS_PER_US
 from annulus_pipe.testing.protocol_simulated import publish, withdraw
 from annulus_pipe.testing.scripted import BadLine, ScriptedController
-from annulus_pipe.twin.emulated import Board, EmulatedBoard, open_board
+from annulus_pipe.twin.emulated import EmulatedBoard, VirtualBoard, open_board
 from annulus_pipe.twin.faults import Faults, LossyLine
 from annulus_pipe.twin.line import TcpLine
 from annulus_pipe.twin.profiles import load_faults
@@ -50,7 +50,7 @@ class SimulatedHead:
         wires: tuple[tuple[int, int], ...] = (),
     ) -> None:
         chosen = faults if isinstance(faults, Faults) else load_faults(faults)
-        self.board: Board = EmulatedBoard(image, vcd=vcd) if image or vcd else open_board(board)
+        self.board: VirtualBoard = EmulatedBoard(image, vcd=vcd) if image or vcd else open_board(board)
         self._to_host = LossyLine(chosen, seed)
         self._to_head = BadLine(seed, chosen.bytes_flipped)
         self._waiting = bytearray()

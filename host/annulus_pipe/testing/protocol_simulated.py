@@ -11,7 +11,7 @@ FOREVER_NS = 60_000_000_000  # a read without time-out gives up after so long: n
 READ_MAX = 65536
 
 
-class World(Protocol):
+class FarEnd(Protocol):
     """The far end of the port. Time passes only in `pass_ns`."""
 
     def now_ns(self) -> int: ...
@@ -25,12 +25,12 @@ class World(Protocol):
         """Bytes for the host that have arrived by now."""
 
 
-_worlds: dict[str, World] = {}
+_worlds: dict[str, FarEnd] = {}
 _numbers = itertools.count(1)
 serial.protocol_handler_packages.append("annulus_pipe.testing")  # where pyserial looks for protocol_*
 
 
-def publish(world: World) -> str:
+def publish(world: FarEnd) -> str:
     """The URL under which pyserial finds this world."""
     url = f"simulated://{next(_numbers)}"
     _worlds[url] = world
@@ -86,7 +86,7 @@ class Serial:
     def reset_input_buffer(self) -> None:
         self.read(READ_MAX if self.in_waiting else 0)
 
-    def _world(self) -> World:
+    def _world(self) -> FarEnd:
         if self.port not in _worlds:
             raise OSError(f"{self.port}: no such simulated head in this process")
         return _worlds[self.port]

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.rays import Eye
+from annulus_pipe.twin.rays import PipeCamera
 from annulus_pipe.twin.stretch import (
     COLUMN,
     CX,
@@ -29,9 +29,9 @@ from annulus_pipe.twin.stretch import (
     WX,
     WY,
     WZ,
+    PixelRun,
     Real,
     S,
-    Stretch,
     X,
     Y,
     Z,
@@ -235,9 +235,9 @@ def entry(above: Real, below: Real, apart: Real) -> Real:
 
 @jit
 def meet_tube(
-    part: Stretch,
+    part: PixelRun,
     u0: int,
-    eye: Eye,
+    eye: PipeCamera,
     pixel_rad: F32,
     sharp: F32,
     tube: Tube,

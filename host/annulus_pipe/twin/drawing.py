@@ -11,7 +11,7 @@ from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.stretch import U8
 
 
-class Job(NamedTuple):
+class DrawingJob(NamedTuple):
     slot: int
     generation: int
     frame: Delivered
@@ -23,15 +23,15 @@ class Drawing:
     def __init__(self, renderer: Renderer, slots: U8, threads: int) -> None:
         """slots : (N, H, W), where frames go."""
         self._renderer, self._slots = renderer, slots
-        self._jobs: queue.Queue[Job | None] = queue.Queue(threads)
-        self._done: queue.SimpleQueue[Job] = queue.SimpleQueue()
+        self._jobs: queue.Queue[DrawingJob | None] = queue.Queue(threads)
+        self._done: queue.SimpleQueue[DrawingJob] = queue.SimpleQueue()
         self._order: list[int] = []  # frames asked for, oldest first
-        self._drawn: dict[int, Job] = {}
+        self._drawn: dict[int, DrawingJob] = {}
         self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable when something may be in order
         for _ in range(threads):
             threading.Thread(target=self._draw, daemon=True).start()
 
-    def order(self, job: Job) -> bool:
+    def order(self, job: DrawingJob) -> bool:
         """False where every thread has enough to do."""
         try:
             self._jobs.put_nowait(job)
@@ -40,7 +40,7 @@ class Drawing:
         self._order.append(job.frame.number)
         return True
 
-    def finished(self) -> list[Job]:
+    def finished(self) -> list[DrawingJob]:
         """Those drawn by now whose elders are too, oldest first."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.wake)

@@ -30,7 +30,7 @@ _DRAWN_AT_ONCE = 1024
 _DRAWS = 8
 
 
-class Part(NamedTuple):
+class PicturePart(NamedTuple):
     """Rows of a picture, from one share of its height to another, that one exposure left there. None: blank."""
 
     exposure: Exposure
@@ -45,7 +45,7 @@ class Delivered(NamedTuple):
     sequence: CameraSequence | None  # what the driver says its count is; None where it does not count
     timestamp_ns: int
     due_tick: int
-    parts: tuple[Part, ...]  # of the picture, from the top; more than one: torn
+    parts: tuple[PicturePart, ...]  # of the picture, from the top; more than one: torn
 
 
 class Driver:
@@ -64,7 +64,7 @@ class Driver:
         self._rng = np.random.default_rng([seed, 5, camera] if camera else [seed, 5])
         self._loses = Draws(seed + camera, 8) if camera else None
         self._drawn: list[list[float]] = []
-        self._picture: tuple[Part, ...] = ()  # in the last buffer that was handed over
+        self._picture: tuple[PicturePart, ...] = ()  # in the last buffer that was handed over
         self._due = 0
         self._held = False  # the last frame came late, or had to wait behind one that did
         self._steps = sorted(faults.stamp_steps)
@@ -107,7 +107,7 @@ class Driver:
         if hiccup == "again" and self._picture:
             picture = self._picture
         elif hiccup:
-            picture = (Part(exposure, 0.0, 0.0),)
+            picture = (PicturePart(exposure, 0.0, 0.0),)
         self._picture, self._due = picture, due
         count = (
             None if self._faults.uncounted else CameraSequence(max(0, number - exposure.missed - self._counted_from))
@@ -161,7 +161,7 @@ class Driver:
 
     # ---- one frame ----
 
-    def _pictured(self, exposure: Exposure, number: int, draws: list[float]) -> tuple[Part, ...]:
+    def _pictured(self, exposure: Exposure, number: int, draws: list[float]) -> tuple[PicturePart, ...]:
         if self._behind:
             exposure = self._past[max(0, len(self._past) - 1 - self._behind)]
         if self._picture:
@@ -174,9 +174,9 @@ class Driver:
             if draws[1] < self._faults.frames_torn:
                 self._lost("torn", number)
                 tear = 0.05 + 0.9 * draws[2]
-                below = [Part(p.exposure, max(p.top, tear), p.bottom) for p in self._picture if p.bottom > tear]
-                return (Part(exposure, 0.0, tear), *below)
-        return (Part(exposure, 0.0, 1.0),)
+                below = [PicturePart(p.exposure, max(p.top, tear), p.bottom) for p in self._picture if p.bottom > tear]
+                return (PicturePart(exposure, 0.0, tear), *below)
+        return (PicturePart(exposure, 0.0, 1.0),)
 
     def _hiccup(self, number: int, draws: list[float]) -> str:
         """What comes in place of a picture that is kept: "again", "blank", or "lost" where nobody counts."""

@@ -34,7 +34,7 @@ BOARDS = ("native", "emulated")
 _BOOT_TICKS = 3_000_000  # boot ROM, loader, clocks, first event
 
 
-class Board(Protocol):
+class VirtualBoard(Protocol):
     """What the twin needs of a controller in virtual time; see NativeBoard."""
 
     def power_on(self, boot: int = 1, cause: int = 0) -> None: ...
@@ -71,7 +71,7 @@ class Board(Protocol):
     def close(self) -> None: ...
 
 
-def open_board(kind: str) -> Board:
+def open_board(kind: str) -> VirtualBoard:
     """A board of this process in virtual time, not yet powered. AnnulusError for a kind that is none of BOARDS."""
     if kind not in BOARDS:
         raise AnnulusError(f"board {kind!r}: expected one of {', '.join(BOARDS)}")

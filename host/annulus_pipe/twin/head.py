@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.hooks import merged
 from annulus_pipe.link.pins import AS_WIRED, Pins, pins_list
 from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.profiles import load_faults
@@ -37,7 +38,6 @@ from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, demo_world, stereo_world
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged
 
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232

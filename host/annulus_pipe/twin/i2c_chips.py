@@ -19,7 +19,7 @@ TRANSFER_S = 1e-4  # of a word at 400 kHz
 
 
 @dataclass(slots=True)
-class Chip:
+class SimulatedChip:
     """Registers by address; `reset` is what they hold after power came. on_read and on_write may compute."""
 
     reset: dict[int, int]
@@ -45,7 +45,7 @@ class Chip:
 class TwinBus:
     """Chips by address. `faults` : transfers from now on that fail, by what they raise; `stuck` fails all."""
 
-    def __init__(self, chips: dict[int, Chip]) -> None:
+    def __init__(self, chips: dict[int, SimulatedChip]) -> None:
         self.chips = chips
         self.faults: list[int] = []  # errno
         self.stuck = self.closed = False
@@ -72,7 +72,7 @@ class TwinBus:
     def close(self) -> None:
         self.closed = True
 
-    def _chip(self, address: int) -> Chip:
+    def _chip(self, address: int) -> SimulatedChip:
         self.transfers += 1
         if self.stuck:
             raise OSError(errno.ETIMEDOUT, "Connection timed out")
@@ -114,7 +114,7 @@ class HeadBus(TwinBus):
         super().close()
         self._head.close()
 
-    def _chip(self, address: int) -> Chip:
+    def _chip(self, address: int) -> SimulatedChip:
         for sample in self._head.poll():
             self._plays.update({name: value for name, value in sample.values.items() if name in self._plays})
             self._plays.update(
@@ -128,7 +128,7 @@ class HeadBus(TwinBus):
         return super()._chip(address)
 
 
-def fdc2214(plays: dict[str, float], tank: Tank) -> Chip:
+def fdc2214(plays: dict[str, float], tank: Tank) -> SimulatedChip:
     """plays : c1_pf .. cref_pf, NaN where a tank stands still. Reading a result's upper half latches its lower."""
 
     def on_read(register: int, held: dict[int, int]) -> None:
@@ -138,10 +138,10 @@ def fdc2214(plays: dict[str, float], tank: Tank) -> Chip:
             held[register] = data >> 16 | (0x2000 if pf != pf else 0)
             held[register + 1] = data & 0xFFFF
 
-    return Chip({0x1A: FDC_AT_RESET, 0x1B: 0x020F, 0x7E: 0x5449, 0x7F: 0x3055}, on_read)
+    return SimulatedChip({0x1A: FDC_AT_RESET, 0x1B: 0x020F, 0x7E: 0x5449, 0x7F: 0x3055}, on_read)
 
 
-def ads1115(plays: dict[str, float], tank: Tank) -> Chip:
+def ads1115(plays: dict[str, float], tank: Tank) -> SimulatedChip:
     """The amplitudes of the same tanks; plays : loss1_ff .. and c1_pf ..; a conversion is done when it is looked at."""
 
     def on_write(register: int, held: dict[int, int]) -> None:
@@ -150,20 +150,20 @@ def ads1115(plays: dict[str, float], tank: Tank) -> Chip:
             volts = tank.amplitude_v(plays[LOSSES[k]], plays[CHANNELS[k]])
             held[0] = round(volts / 2.048 * 32768) & 0xFFFF
 
-    return Chip({1: 0x8583}, on_write=on_write)
+    return SimulatedChip({1: 0x8583}, on_write=on_write)
 
 
-def ina226(plays: dict[str, float], shunt_mohm: float) -> Chip:
+def ina226(plays: dict[str, float], shunt_mohm: float) -> SimulatedChip:
     """plays : voltage_v, current_a."""
 
     def on_read(register: int, held: dict[int, int]) -> None:
         held[1] = round(plays["current_a"] * shunt_mohm / 2.5e-3) & 0xFFFF
         held[2] = round(plays["voltage_v"] / 1.25e-3) & 0x7FFF
 
-    return Chip({0x00: INA_AT_RESET, 0xFE: 0x5449, 0xFF: 0x2260}, on_read)
+    return SimulatedChip({0x00: INA_AT_RESET, 0xFE: 0x5449, 0xFF: 0x2260}, on_read)
 
 
-def mpu6050(plays: dict[str, float]) -> Chip:
+def mpu6050(plays: dict[str, float]) -> SimulatedChip:
     """plays : x_g, y_g, z_g, temperature_c."""
 
     def on_read(register: int, held: dict[int, int]) -> None:
@@ -171,4 +171,4 @@ def mpu6050(plays: dict[str, float]) -> Chip:
         for k, count in enumerate(counts):
             held[0x3B + 2 * k], held[0x3C + 2 * k] = count >> 8 & 0xFF, count & 0xFF
 
-    return Chip({0x6B: 0x40, 0x75: 0x68}, on_read, bytes_wide=True)
+    return SimulatedChip({0x6B: 0x40, 0x75: 0x68}, on_read, bytes_wide=True)

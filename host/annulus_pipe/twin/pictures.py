@@ -12,7 +12,7 @@ import numpy as np
 
 from annulus_pipe.capture.photometry import Photometry, measure
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.twin.driver import Part
+from annulus_pipe.twin.driver import PicturePart
 from annulus_pipe.twin.image_sensor import UNLIT, Exposure
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World
@@ -25,7 +25,7 @@ KEPT = 8  # pictures drawn for one exposure only: it may be asked for again
 _BITS = (1 << 64) - 1
 
 
-class Pictures:
+class WorldPictures:
     """Of one world. `travel_mm` of it is where the stations stand; z beyond begins anew."""
 
     def __init__(self, world: World, seed: int) -> None:
@@ -35,7 +35,7 @@ class Pictures:
         self._odd: OrderedDict[int, Image] = OrderedDict()
         self._blank = measure(np.zeros((world.camera.height, world.camera.width), np.uint8))
 
-    def measured(self, parts: tuple[Part, ...]) -> Photometry:
+    def measured(self, parts: tuple[PicturePart, ...]) -> Photometry:
         """What photometry says of a picture."""
         if parts[0].bottom <= parts[0].top:
             return self._blank

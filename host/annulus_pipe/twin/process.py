@@ -25,7 +25,7 @@ from annulus_pipe.link.messages import BootCause
 from annulus_pipe.link.pins import pins_from
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.twin.camera_server import CameraServer
-from annulus_pipe.twin.drawing import Drawing, Job
+from annulus_pipe.twin.drawing import Drawing, DrawingJob
 from annulus_pipe.twin.driver import Driver
 from annulus_pipe.twin.emulated import EmulatedBoard, open_board
 from annulus_pipe.twin.faults import Faults, LossyLine
@@ -63,7 +63,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's, which disarms the lamps through this head
     try:
         order = json.loads(sys.stdin.buffer.readline())
-        head = Head(order)
+        head = TwinHead(order)
     except AnnulusError as error:
         sys.exit(str(error))
     try:
@@ -90,7 +90,7 @@ class _SamplePublisher:
         self._context.destroy(linger=0)
 
 
-class _Camera:
+class _TwinCamera:
     """One of the head's cameras: its driver, what draws its frames, and where they are asked for."""
 
     def __init__(
@@ -100,10 +100,10 @@ class _Camera:
         self.server = CameraServer(hello, counts, number)
         self.drawing = Drawing(renderer, self.server.slots, threads)
         self.driver = driver
-        self.drawn: deque[Job] = deque()  # until the driver hands them over
+        self.drawn: deque[DrawingJob] = deque()  # until the driver hands them over
 
 
-class Head:
+class TwinHead:
     def __init__(self, order: Mapping[str, Any]) -> None:
         self.world = World.from_dict(order["world"])
         self.faults = Faults.from_dict(order["faults"])
@@ -146,7 +146,7 @@ class Head:
         for number, renderer in enumerate(renderers):
             faults = others[number - 1] if 0 < number <= len(others) else self.faults
             driver = Driver(faults, self.timing, seed, start_tick=start, camera=number)
-            self.cameras.append(_Camera(number, renderer, driver, self.timing, self.counts, threads))
+            self.cameras.append(_TwinCamera(number, renderer, driver, self.timing, self.counts, threads))
         self.unplugged_until = 0  # world tick; until then the serial line is
         self.happenings = self._placed()
 
@@ -278,7 +278,7 @@ class Head:
                 self._order(camera, exposure)
 
     # ---- frames ----
-    def _order(self, camera: _Camera, exposure: Exposure) -> None:
+    def _order(self, camera: _TwinCamera, exposure: Exposure) -> None:
         """Have a frame drawn, or drop it as a driver without a free buffer does."""
         frame = camera.driver.take(exposure)
         camera.server.plug(not camera.driver.absent(int(exposure.sequence)))
@@ -288,11 +288,11 @@ class Head:
             self.counts["dropped_on_purpose"] += 1
         elif (slot := camera.server.take()) is None:
             self.counts["driver_dropped_no_buffer"] += 1
-        elif not camera.drawing.order(Job(slot, camera.server.generation, frame)):
+        elif not camera.drawing.order(DrawingJob(slot, camera.server.generation, frame)):
             camera.server.give_back(slot)
             self.counts["driver_dropped_too_slow"] += 1
 
-    def _deliver(self, camera: _Camera, job: Job) -> None:
+    def _deliver(self, camera: _TwinCamera, job: DrawingJob) -> None:
         self.counts["rendered"] += 1
         metadata = {
             "SensorTimestamp": job.frame.timestamp_ns,

@@ -52,7 +52,7 @@ _ALSO: Mapping[str, Callable[[int, float | None], tuple[str, Any]]] = {  # what 
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class DisturbanceProfile:
     """Rates, and disturbances a million frames by kind. `thirds`: two resets, a third and two thirds of the way.
     `ratio`: projector flashes to one of the LED.
     """
@@ -86,13 +86,13 @@ class Profile:
 
 
 PROFILES = {
-    "none": Profile("nothing"),
-    "standard": Profile(
+    "none": DisturbanceProfile("nothing"),
+    "standard": DisturbanceProfile(
         "the line and the driver on a good day, and two restarts of the controller",
         Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
         thirds=True,
     ),
-    "rough": Profile(
+    "rough": DisturbanceProfile(
         "a bad line, a noisy sync cable",
         Faults(
             frames_dropped=0.03,
@@ -104,7 +104,7 @@ PROFILES = {
         ),
         thirds=True,
     ),
-    "all": Profile(
+    "all": DisturbanceProfile(
         "everything",
         Faults(
             frames_dropped=0.01,
@@ -132,92 +132,98 @@ PROFILES = {
             "stalls": 20,
         },
     ),
-    "stamp-steps": Profile("stamps move by whole frames", per_million={"whole steps": 400}),
-    "five-steps": Profile("stamps move by a whole lamp cycle", per_million={"five steps": 400}),
-    "part-steps": Profile("stamps move by a quarter to three quarters of a frame", per_million={"part steps": 400}),
-    "stamps-late": Profile(
+    "stamp-steps": DisturbanceProfile("stamps move by whole frames", per_million={"whole steps": 400}),
+    "five-steps": DisturbanceProfile("stamps move by a whole lamp cycle", per_million={"five steps": 400}),
+    "part-steps": DisturbanceProfile(
+        "stamps move by a quarter to three quarters of a frame", per_million={"part steps": 400}
+    ),
+    "stamps-late": DisturbanceProfile(
         "every frame is stamped, and handed over, three frames late", Faults(stamp_offset_frames=3, delivery_frames=3)
     ),
-    "stamps-ahead": Profile("every stamp lies three frames in the future", Faults(stamp_offset_frames=3)),
-    "one-stamp-late": Profile("one stamp in 37 is late", Faults(stamps_late=1 / 37)),
-    "drift": Profile("the stamps' clock runs 200 ppm fast, for ever", Faults(stamp_drift_ppm=200.0)),
-    "drift-slow": Profile("the stamps' clock runs 200 ppm slow, for ever", Faults(stamp_drift_ppm=-200.0)),
-    "drift-50": Profile("the stamps' clock runs 50 ppm fast, for ever", Faults(stamp_drift_ppm=50.0)),
-    "drift-turns": Profile(
+    "stamps-ahead": DisturbanceProfile("every stamp lies three frames in the future", Faults(stamp_offset_frames=3)),
+    "one-stamp-late": DisturbanceProfile("one stamp in 37 is late", Faults(stamps_late=1 / 37)),
+    "drift": DisturbanceProfile("the stamps' clock runs 200 ppm fast, for ever", Faults(stamp_drift_ppm=200.0)),
+    "drift-slow": DisturbanceProfile("the stamps' clock runs 200 ppm slow, for ever", Faults(stamp_drift_ppm=-200.0)),
+    "drift-50": DisturbanceProfile("the stamps' clock runs 50 ppm fast, for ever", Faults(stamp_drift_ppm=50.0)),
+    "drift-turns": DisturbanceProfile(
         "200 ppm, and its sign changes every four minutes", Faults(stamp_drift_ppm=200.0, stamp_drift_turn_s=240.0)
     ),
-    "torn": Profile("one picture in 50 is torn", Faults(frames_torn=0.02)),
-    "repeated": Profile("one picture in 50 is the one before", Faults(frames_repeated=0.02)),
-    "late": Profile("one frame in 50 is handed over up to half a second late", Faults(frames_late=0.02)),
-    "frozen": Profile("the picture stands still", per_million={"frozen": 400}),
-    "unplugged": Profile("the camera is taken away and brought back", per_million={"unplugged": 200}),
-    "counts": Profile(
+    "torn": DisturbanceProfile("one picture in 50 is torn", Faults(frames_torn=0.02)),
+    "repeated": DisturbanceProfile("one picture in 50 is the one before", Faults(frames_repeated=0.02)),
+    "late": DisturbanceProfile("one frame in 50 is handed over up to half a second late", Faults(frames_late=0.02)),
+    "frozen": DisturbanceProfile("the picture stands still", per_million={"frozen": 400}),
+    "unplugged": DisturbanceProfile("the camera is taken away and brought back", per_million={"unplugged": 200}),
+    "counts": DisturbanceProfile(
         "the driver's count jumps, or begins anew", per_million={"count jumps": 400, "count resets": 200}
     ),
-    "stalls": Profile("the host does nothing for a while, then finds old frames", per_million={"stalls": 300}),
-    "resets": Profile("the controller restarts", per_million={"resets": 400}),
-    "same-boot": Profile(
+    "stalls": DisturbanceProfile(
+        "the host does nothing for a while, then finds old frames", per_million={"stalls": 300}
+    ),
+    "resets": DisturbanceProfile("the controller restarts", per_million={"resets": 400}),
+    "same-boot": DisturbanceProfile(
         "the controller loses power and draws the boot byte it had", per_million={"power losses": 400}
     ),
-    "disconnects": Profile("the line to the controller is pulled and plugged", per_million={"disconnects": 300}),
-    "winch-at-rest": Profile(
+    "disconnects": DisturbanceProfile(
+        "the line to the controller is pulled and plugged", per_million={"disconnects": 300}
+    ),
+    "winch-at-rest": DisturbanceProfile(
         "the controller restarts, the line is away for a minute, or both; the winch stops with it, or does not",
         per_million={"resets": 200, "long outages": 40, "unheard restarts": 40},
     ),
-    "flashes-fail": Profile("one flash in 50 is ordered and does not come", Faults(flashes_failed=0.02)),
-    "queue-steps": Profile(
+    "flashes-fail": DisturbanceProfile("one flash in 50 is ordered and does not come", Faults(flashes_failed=0.02)),
+    "queue-steps": DisturbanceProfile(
         "the driver keeps one to three frames more, or fewer, and stamps what it hands over",
         per_million={"queue steps": 2000},
     ),
-    "queue-cycles": Profile(
+    "queue-cycles": DisturbanceProfile(
         "the driver keeps one or two lamp cycles more, or fewer, and its stamps do not know",
         Faults(timestamp_jitter_us=200.0),
         {"queue cycles": 1000},
     ),
-    "queue-cycles-alone": Profile(
+    "queue-cycles-alone": DisturbanceProfile(
         ".. and it does not count, and stamps what it hands over",
         Faults(uncounted=True, stamped_when_handed_over=True),
         {"queue cycles": 1000},
     ),
-    "deeper-restarts": Profile(
+    "deeper-restarts": DisturbanceProfile(
         "the camera begins anew, its driver keeps a lamp cycle more from then on", per_million={"deeper restarts": 500}
     ),
-    "pictures-behind": Profile(
+    "pictures-behind": DisturbanceProfile(
         "pictures of one frame before, or of five more, come with what is said of today's",
         per_million={"pictures behind": 1000},
     ),
-    "hiccups": Profile(
+    "hiccups": DisturbanceProfile(
         "the driver shows pictures again and blank ones, and those behind are late", per_million={"hiccups": 1000}
     ),
-    "hiccups-alone": Profile(
+    "hiccups-alone": DisturbanceProfile(
         ".. and loses some, and does not count", Faults(uncounted=True, events_lost=0.01), {"hiccups": 1000}
     ),
-    "stamps-odd": Profile("one stamp in ten is off by a frame, by itself", Faults(stamps_odd=0.1)),
-    "handed-over": Profile(
+    "stamps-odd": DisturbanceProfile("one stamp in ten is off by a frame, by itself", Faults(stamps_odd=0.1)),
+    "handed-over": DisturbanceProfile(
         "a driver that does not count stamps what it hands over; one frame in 50 is late",
         Faults(frames_late=0.02, uncounted=True, stamped_when_handed_over=True),
     ),
-    "reckoned": Profile(
+    "reckoned": DisturbanceProfile(
         "a driver that reckons its stamps from its count moves both by a whole lamp cycle",
         per_million={"reckoned jumps": 1000},
     ),
-    "kept-five": Profile("every frame is handed over five frames late", Faults(delivery_frames=5.0)),
-    "ratio-0": Profile(
+    "kept-five": DisturbanceProfile("every frame is handed over five frames late", Faults(delivery_frames=5.0)),
+    "ratio-0": DisturbanceProfile(
         "stamps move, and there is no LED in the cycle", per_million={"whole steps": 200, "part steps": 200}, ratio=0
     ),
-    "ratio-1": Profile(
+    "ratio-1": DisturbanceProfile(
         "stamps move, and every other flash is the LED's", per_million={"whole steps": 200, "part steps": 200}, ratio=1
     ),
 }
 
 
-def profile_of(source: "Faults | str | Path | None") -> Profile:
+def profile_of(source: "Faults | str | Path | None") -> DisturbanceProfile:
     """A profile by name; of faults, or of a TOML file whose keys are the fields of `Faults`, one that is just them."""
     if isinstance(source, Faults):
-        return Profile("as given", source)
+        return DisturbanceProfile("as given", source)
     if source is not None and str(source) in PROFILES:
         return PROFILES[str(source)]
-    return Profile("as given", load_faults(source))
+    return DisturbanceProfile("as given", load_faults(source))
 
 
 def load_faults(source: "str | Path | None", frames: int = 20_000, seed: int = 0) -> Faults:

@@ -23,9 +23,9 @@ from annulus_pipe.twin.stretch import (
     WX,
     WY,
     WZ,
+    PixelRun,
     Real,
     S,
-    Stretch,
     X,
     Y,
     Z,
@@ -34,7 +34,7 @@ from annulus_pipe.twin.stretch import (
 from annulus_pipe.twin.worlds.world import World
 
 
-class Placed(Protocol):
+class HeadPosition(Protocol):
     """Where the head is: a Pose, or one in a pipe of several pieces."""
 
     @property
@@ -43,7 +43,7 @@ class Placed(Protocol):
     def to_pipe(self, points: FloatArray, z_mm: float) -> FloatArray: ...
 
 
-class Eye(NamedTuple):
+class PipeCamera(NamedTuple):
     """A camera in the pipe."""
 
     rays: F32  # (3, H, W), see `ray_table`
@@ -51,11 +51,11 @@ class Eye(NamedTuple):
     station: F32  # (3,) mm
 
 
-def eye_at(rays: F32, seen: HeadCamera, pose: Placed, z_mm: float) -> Eye:
+def eye_at(rays: F32, seen: HeadCamera, pose: HeadPosition, z_mm: float) -> PipeCamera:
     """Of one of the head's cameras. pose : the head's, that is its first camera's."""
     turn, centre = placed(seen)
     station = pose.to_pipe(centre[None], z_mm)[0].astype(np.float32)
-    return Eye(rays, (turn @ pose.rotation).astype(np.float32), station)
+    return PipeCamera(rays, (turn @ pose.rotation).astype(np.float32), station)
 
 
 def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +65,7 @@ def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
 
 
 @jit
-def meet_cylinder(part: Stretch, u0: int, eye: Eye, starts: F32 | None, radius: Real) -> None:
+def meet_cylinder(part: PixelRun, u0: int, eye: PipeCamera, starts: F32 | None, radius: Real) -> None:
     """Every pixel's ray in the pipe frame, and where it meets r = radius. starts: see `ray_table`."""
     scratch, v, n = part.scratch, part.v, part.n
     rotation, station = eye.rotation, eye.station

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol, TypeVar
 
-from annulus_pipe.twin.emulated import Board
+from annulus_pipe.twin.emulated import VirtualBoard
 from annulus_pipe.twin.line import Line
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -17,7 +17,7 @@ HELD_MAX = 65536  # bytes to a host that does not read
 
 
 def rounds(
-    board: Board, serial: Line, others: Sequence[Line], advance: Callable[[int], None], over: threading.Event
+    board: VirtualBoard, serial: Line, others: Sequence[Line], advance: Callable[[int], None], over: threading.Event
 ) -> Iterator[None]:
     """Until `over`, a round at a time: something came on a line or a millisecond went by, the world went on to now
     (`advance`), and what board and host have to say to one another was said."""

@@ -15,10 +15,10 @@ from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.stream.frames import FrameHeader
-from annulus_pipe.twin.driver import Part
-from annulus_pipe.twin.emulated import Board, open_board
+from annulus_pipe.twin.driver import PicturePart
+from annulus_pipe.twin.emulated import VirtualBoard, open_board
 from annulus_pipe.twin.faults import Faults
-from annulus_pipe.twin.pictures import Pictures
+from annulus_pipe.twin.pictures import WorldPictures
 from annulus_pipe.twin.soak_world import SoakWorld, Waiting
 from annulus_pipe.twin.worlds import World
 from annulus_pipe.vocabulary import AnnulusError, Label
@@ -28,14 +28,14 @@ ROWS_A_NOTE = 100
 BEGAN = datetime(2026, 1, 1, 12, 0, tzinfo=UTC)  # of a world that has no clock on the wall
 
 
-class _Drawn(Pictures):
+class _Drawn(WorldPictures):
     """Every exposure's own picture, kept until it is recorded."""
 
     def __init__(self, world: World, seed: int) -> None:
         super().__init__(world, seed)
         self.drawn: dict[int, Image] = {}
 
-    def measured(self, parts: tuple[Part, ...]) -> Photometry:
+    def measured(self, parts: tuple[PicturePart, ...]) -> Photometry:
         (part,) = parts  # nothing goes wrong: no picture is torn
         exposure, number = part.exposure, int(part.exposure.sequence)
         pose = self._world.pose(exposure.z_mm)
@@ -47,7 +47,7 @@ class _Drawn(Pictures):
 class _Scan(SoakWorld):
     """One pull of the head, after its labels are proved."""
 
-    def __init__(self, world: World, frames: int, seed: int, board: Board) -> None:
+    def __init__(self, world: World, frames: int, seed: int, board: VirtualBoard) -> None:
         super().__init__(PROVED_WITHIN + frames, seed, Faults(), board, frozenset(), world=world)
         self.pictures: _Drawn = _Drawn(self.world, seed)
         self.speed_mm_s = world.travel_mm / frames * self.timing.fps

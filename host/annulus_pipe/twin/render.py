@@ -14,9 +14,9 @@ from annulus_pipe.twin.course import InSpace, Tube, meet_tube, tube_of
 from annulus_pipe.twin.lights.led import LedRing, LedTable, shine
 from annulus_pipe.twin.lights.projector import Beam, SlideProjector, fall, shade
 from annulus_pipe.twin.lights.slide import slides_of, through
-from annulus_pipe.twin.rays import Eye, eye_at, meet_cylinder, ray_table
-from annulus_pipe.twin.stretch import COLUMN, CX, F32, LEVEL, PAINT, PIXELS, PLAIN, SCRATCH, U8, Real, Stretch, Z, jit
-from annulus_pipe.twin.walls import PER_Z, Wall, meet_wall, wall_of
+from annulus_pipe.twin.rays import PipeCamera, eye_at, meet_cylinder, ray_table
+from annulus_pipe.twin.stretch import COLUMN, CX, F32, LEVEL, PAINT, PIXELS, PLAIN, SCRATCH, U8, PixelRun, Real, Z, jit
+from annulus_pipe.twin.walls import PER_Z, WorldWall, meet_wall, wall_of
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
 
@@ -80,7 +80,7 @@ def _lit_part(v: int, width: int, beam: Beam, led: LedTable) -> Real:
 
 
 @jit
-def _paint(part: Stretch, wall: Wall, paint: Paint) -> None:
+def _paint(part: PixelRun, wall: WorldWall, paint: Paint) -> None:
     """Light that arrives to light that comes back."""
     scratch, spread, albedo, base, z0 = part.scratch, part.spread, paint.albedo, paint.base, wall.relief.z0
     zero = np.float32(0.0)
@@ -99,9 +99,9 @@ def _paint(part: Stretch, wall: Wall, paint: Paint) -> None:
 def _draw(
     out: U8,
     rows: tuple[int, int],
-    eye: Eye,
+    eye: PipeCamera,
     starts: F32 | None,
-    wall: Wall,
+    wall: WorldWall,
     paint: Paint,
     beam: Beam,
     slide: NamedTuple,
@@ -128,7 +128,7 @@ def _draw(
             else:
                 u0 = b0 + (chunk - chunks_a) * PIXELS
                 n = min(PIXELS, b1 - u0)
-            part = Stretch(scratch, marks, eye.rays[2, v, u0 : u0 + n], n, v, u0 & 1)
+            part = PixelRun(scratch, marks, eye.rays[2, v, u0 : u0 + n], n, v, u0 & 1)
             meet_cylinder(part, u0, eye, starts, wall.relief.radius)
             meet_wall(part, eye.station, starts, wall, beam.centre, gp > 0)
             if gp > 0:
@@ -147,7 +147,7 @@ def _draw(
 def _draw_course(
     out: U8,
     rows: tuple[int, int],
-    eye: Eye,
+    eye: PipeCamera,
     pixel_rad: F32,
     tube: Tube,
     paint: Paint,
@@ -172,8 +172,8 @@ def _draw_course(
         level[:] = zero
         for u0 in range(0, width if gp > 0 or gl > 0 else 0, PIXELS):
             n = min(PIXELS, width - u0)
-            seen = Stretch(scratch, marks, eye.rays[2, v, u0 : u0 + n], n, v, u0 & 1)
-            part = Stretch(scratch, marks, sharp[:n], n, v, u0 & 1)
+            seen = PixelRun(scratch, marks, eye.rays[2, v, u0 : u0 + n], n, v, u0 & 1)
+            part = PixelRun(scratch, marks, sharp[:n], n, v, u0 & 1)
             for mirrored in range(2):
                 wet = meet_tube(seen, u0, eye, pixel_rad, sharp, tube, beam.centre, lit, mirrored == 1, hint)
                 scratch[LEVEL : LEVEL + n] = zero

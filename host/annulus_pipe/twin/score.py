@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.worlds import Feature, World
+from annulus_pipe.twin.worlds import World, WorldFeature
 
 NEAR_EDGE_MM = 1.5  # closer to a step or its shadow than this the truth jumps; scored apart
 GROSS_MM = 2.0
@@ -129,7 +129,7 @@ def score_defects(
     }
 
 
-def _matches(feature: Feature, truth: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
+def _matches(feature: WorldFeature, truth: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
     reach = max(MATCH_Z_MM, feature.length_mm / 6) if feature.kind == "oval" else MATCH_Z_MM
     return (
         row["kind"] == truth["kind"]
@@ -138,7 +138,7 @@ def _matches(feature: Feature, truth: Mapping[str, Any], row: Mapping[str, Any])
     )
 
 
-def _clock_error(feature: Feature, clock_deg: float) -> float:
+def _clock_error(feature: WorldFeature, clock_deg: float) -> float:
     if feature.arc_deg >= 360.0 and feature.kind == "groove":
         return 0.0
     period = 180.0 if feature.kind == "oval" else 360.0

@@ -22,12 +22,12 @@ from annulus_pipe.link.preamble import preamble_of
 from annulus_pipe.link.session import EventsLost, Rebooted
 from annulus_pipe.link.stage import stage_from_us
 from annulus_pipe.twin.driver import Delivered, Driver
-from annulus_pipe.twin.emulated import Board
+from annulus_pipe.twin.emulated import VirtualBoard
 from annulus_pipe.twin.faults import Faults, LossyLine
 from annulus_pipe.twin.image_sensor import HostClock
-from annulus_pipe.twin.pictures import Pictures
+from annulus_pipe.twin.pictures import WorldPictures
 from annulus_pipe.twin.triggered import sensor_of
-from annulus_pipe.twin.truth import PLACE_MM, Truth, Verdict, relocks
+from annulus_pipe.twin.truth import PLACE_MM, LabelVerdict, Truth, relocks
 from annulus_pipe.twin.worlds import World, clean_world
 from annulus_pipe.vocabulary import Label
 
@@ -83,7 +83,7 @@ class SoakWorld:
         frames: int,
         seed: int,
         faults: Faults,
-        board: Board,
+        board: VirtualBoard,
         without: frozenset[Witness],
         ratio: int = 4,
         world: World | None = None,
@@ -115,7 +115,7 @@ class SoakWorld:
             pins=pins,
         )
         self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
-        self.pictures = Pictures(self.world, seed)
+        self.pictures = WorldPictures(self.world, seed)
         self.line = LossyLine(faults, seed)
         self.board = board
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
@@ -132,7 +132,7 @@ class SoakWorld:
         self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable, place_mm)
         self.on_the_way: deque[Delivered] = deque()
         self.waiting: deque[Waiting] = deque()
-        self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[Verdict]()
+        self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[LabelVerdict]()
         self.right: list[int] = []
         self.dark: list[int] = []  # frames that no lamp lit
         self.shown: list[dict[str, Any]] = []  # the first wrong ones
@@ -326,7 +326,7 @@ class SoakWorld:
         self.verdicts[verdict] += 1
         if header.reason:
             self.reasons[header.reason] += 1
-        if verdict is Verdict.UNKNOWN:
+        if verdict is LabelVerdict.UNKNOWN:
             self.unknown_since = number if self.unknown_since is None else self.unknown_since
             if not any(part.exposure.lamps for part in one.frame.parts):
                 self.unlit += 1
@@ -335,7 +335,7 @@ class SoakWorld:
             self.untold += not reported and number - self.unknown_since > QUIET_FRAMES
             return
         self.unknown_since = None
-        if verdict is Verdict.RIGHT:
+        if verdict is LabelVerdict.RIGHT:
             self.right.append(number)
         elif len(self.shown) < SHOWN_MAX:
             lit = ["+".join(sorted(lamp.name.lower() for lamp in p.exposure.lamps)) for p in one.frame.parts]
@@ -370,13 +370,13 @@ class SoakWorld:
     def report(self) -> dict[str, Any]:
         spans = self._spans()
         disturbed = [d for d in (*self.disturbed, *self.driver.disturbed) if not any(a <= d[1] < b for a, b in spans)]
-        wrong = Counter({kind: self.verdicts[kind] for kind in (Verdict.WRONG_LAMP, Verdict.WRONG_PLACE)})
+        wrong = Counter({kind: self.verdicts[kind] for kind in (LabelVerdict.WRONG_LAMP, LabelVerdict.WRONG_PLACE)})
         return {
             "frames": self.frames,
             "seed": self.seed,
             "wrong": wrong.total(),
-            "wrong_lamps": wrong[Verdict.WRONG_LAMP],
-            "wrong_places": wrong[Verdict.WRONG_PLACE],
+            "wrong_lamps": wrong[LabelVerdict.WRONG_LAMP],
+            "wrong_places": wrong[LabelVerdict.WRONG_PLACE],
             "unknown": self.labels[Label.UNKNOWN],
             "unlit": self.unlit,
             "projector": self.labels[Label.PROJECTOR],

@@ -1,7 +1,7 @@
 """How a row of a frame is worked on: in stretches of pixels, every intermediate value of which lies in one flat array.
 
 One base and constant distances between the values are what lets LLVM prove that the loops over a stretch may run as
-vectors; a kernel reads `scratch[WX + u]` for pixel u. Rays, walls and lights are kernels over a `Stretch`.
+vectors; a kernel reads `scratch[WX + u]` for pixel u. Rays, walls and lights are kernels over a `PixelRun`.
 """
 
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ _PITCH = PIXELS + 8  # eight to spare, for loops that write in fours
 SCRATCH = 20 * _PITCH
 
 
-class Stretch(NamedTuple):
+class PixelRun(NamedTuple):
     """Pixels u0 .. u0 + n of row v. A place for values is written by one kernel and read by the next."""
 
     scratch: F32  # (SCRATCH,)

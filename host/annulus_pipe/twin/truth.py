@@ -14,7 +14,7 @@ import numpy as np
 
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.cable import Cable
-from annulus_pipe.twin.driver import Delivered, Part
+from annulus_pipe.twin.driver import Delivered, PicturePart
 from annulus_pipe.vocabulary import Flash, Label, Lamp
 
 EVEN = 0.97  # a row with less light than this share of the brightest: the flash was not all rows'
@@ -26,7 +26,7 @@ WRAP = 1 << 32  # of the controller's ticks: 43 s
 LAMPS = {Label.PROJECTOR: Lamp.PROJECTOR, Label.LED: Lamp.LED}
 
 
-class Verdict(StrEnum):
+class LabelVerdict(StrEnum):
     UNKNOWN = "unknown"
     RIGHT = "right"
     WRONG_LAMP = "wrong lamp"
@@ -79,40 +79,40 @@ class Truth:
         """From this edge on z is counted from where the head was."""
         self._zeros.append((tick, self._cable.z_mm(tick)))
 
-    def verdict(self, header: FrameHeader, frame: Delivered) -> Verdict:
+    def verdict(self, header: FrameHeader, frame: Delivered) -> LabelVerdict:
         if header.label is Label.UNKNOWN:
-            return Verdict.UNKNOWN
+            return LabelVerdict.UNKNOWN
         parts, lamp = frame.parts, LAMPS[header.label]
         if not all([part.bottom > part.top and _lit_evenly(part, lamp) for part in parts]):
-            return Verdict.WRONG_LAMP
+            return LabelVerdict.WRONG_LAMP
         if not any([self._is_of(header, part) for part in parts]):
-            return Verdict.WRONG_PLACE
+            return LabelVerdict.WRONG_PLACE
         if header.z_mm is None:
-            return Verdict.WRONG_PLACE
+            return LabelVerdict.WRONG_PLACE
         off_mm = max([abs(header.z_mm - self.z_mm(part)) for part in parts])
         if header.z_assumed:
             self.assumed += 1
             beyond = off_mm > header.z_bound_mm + self._z_error_max_mm
             self.beyond_bound += beyond
             self.assumed_error_mm = max(self.assumed_error_mm, off_mm)
-            return Verdict.WRONG_PLACE if beyond else Verdict.RIGHT
+            return LabelVerdict.WRONG_PLACE if beyond else LabelVerdict.RIGHT
         self.error_mm = max(self.error_mm, off_mm)
-        return Verdict.RIGHT if off_mm <= self._z_error_max_mm else Verdict.WRONG_PLACE
+        return LabelVerdict.RIGHT if off_mm <= self._z_error_max_mm else LabelVerdict.WRONG_PLACE
 
-    def _is_of(self, header: FrameHeader, part: Part) -> bool:
+    def _is_of(self, header: FrameHeader, part: PicturePart) -> bool:
         opening = part.exposure.edge_tick - self._period
         life = bisect_right(self._lives, opening + 0.01 * self._period, key=lambda life: life.began) - 1
         fired = self._edges.get((life, -1 if header.edge is None else header.edge))
         return fired is not None and abs(fired - opening) < NEAR * self._period
 
-    def z_mm(self, part: Part) -> float:
+    def z_mm(self, part: PicturePart) -> float:
         """Where the head was when that exposure was lit, counted from where it was last said to be at 0."""
         at = part.exposure.edge_tick - (1 - NEAR) * self._period
         zero = bisect_left(self._zeros, at, key=lambda zero: zero[0]) - 1
         return part.exposure.z_mm - self._zeros[zero][1]
 
 
-def _lit_evenly(part: Part, lamp: Lamp) -> bool:
+def _lit_evenly(part: PicturePart, lamp: Lamp) -> bool:
     """Whether that lamp lit these rows, all of them alike, and no other did."""
     exposure = part.exposure
     if len(exposure.lamps) != 1 or lamp not in exposure.lamps:

@@ -29,9 +29,9 @@ from annulus_pipe.twin.stretch import (
     WX,
     WY,
     WZ,
+    PixelRun,
     Real,
     S,
-    Stretch,
     X,
     Y,
     Z,
@@ -62,7 +62,7 @@ class Relief(NamedTuple):
     tile_high: F32
 
 
-class Wall(NamedTuple):
+class WorldWall(NamedTuple):
     """A world's wall."""
 
     relief: Relief
@@ -117,7 +117,7 @@ def _excess(relief: Relief, s: Real, c: F32, way: Ray, column: Real) -> Real:
 
 
 @jit
-def _meet_gentle(part: Stretch, station: F32, relief: Relief) -> None:
+def _meet_gentle(part: PixelRun, station: F32, relief: Relief) -> None:
     """Meet a wall without edges instead of the plain cylinder, for a whole stretch: mends range, place and normal.
 
     The fixed point r = R + wall(where r is met), by secant, at every fourth pixel; such a wall is straight enough
@@ -256,7 +256,7 @@ def _shadowed(relief: Relief, place: Ray, light: F32, low: Real, column: Real) -
 
 @jit
 def _meet_rough(
-    part: Stretch, rough: int, station: F32, starts: F32 | None, wall: Wall, light: F32, ask_shadow: bool
+    part: PixelRun, rough: int, station: F32, starts: F32 | None, wall: WorldWall, light: F32, ask_shadow: bool
 ) -> None:
     """Meet a wall with edges, where a pixel's kind has a bit of `rough`: mends range, place, normal and shadow."""
     scratch, kinds, relief = part.scratch, part.marks, wall.relief
@@ -292,7 +292,7 @@ def _meet_rough(
 
 
 @jit
-def meet_wall(part: Stretch, station: F32, starts: F32 | None, wall: Wall, light: F32, ask_shadow: bool) -> None:
+def meet_wall(part: PixelRun, station: F32, starts: F32 | None, wall: WorldWall, light: F32, ask_shadow: bool) -> None:
     """Mend what `meet_cylinder` found where the wall is not plain; ask_shadow: whether `light` gets there."""
     scratch, n, kinds, tile_kind = part.scratch, part.n, part.marks, wall.kind
     tiles_z, tiles_c = tile_kind.shape
@@ -324,10 +324,10 @@ def padded(world: World) -> F32:
     return np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
 
 
-def wall_of(world: World) -> Wall:
+def wall_of(world: World) -> WorldWall:
     low, high, near_low, near_high, kind = _tiles(world)
     relief = Relief(np.float32(world.radius_mm), np.float32(world.z_range_mm[0]), padded(world), low, high)
-    return Wall(relief, near_low, near_high, kind)
+    return WorldWall(relief, near_low, near_high, kind)
 
 
 def _behind(tiles: NDArray[Any], reach: int, combine: Callable[..., NDArray[Any]]) -> NDArray[Any]:

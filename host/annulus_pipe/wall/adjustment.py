@@ -67,7 +67,7 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class AdjustmentState:
     """Where all is. pieces (P, PIECE), the radius of all but the first as its step against the one before; bias_mm
     (R, BIAS) of the rings; heads (F, HEAD)."""
 
@@ -113,7 +113,7 @@ class Adjusted:
     moves by a step (n,) of those, heads do by `follow` (F, HEAD, n) times it; `head_covariance` (F, HEAD, HEAD) is
     theirs on a line that is known."""
 
-    state: State
+    state: AdjustmentState
     where: Where
     weight: FloatArray
     unit: float  # robust sigma of residual over sigma
@@ -190,12 +190,12 @@ def _of_frame(profile: Profile, sectors: int) -> tuple[FloatArray, FloatArray, F
     return camera, np.maximum(stated, SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
 
 
-def locate(seen: Sightings, state: State) -> Where:
+def locate(seen: Sightings, state: AdjustmentState) -> Where:
     """Every observation in pipe coordinates, and how far it is off the wall."""
     return _locate(seen, state, _local(seen, state))
 
 
-def _locate(seen: Sightings, state: State, local: FloatArray) -> Where:
+def _locate(seen: Sightings, state: AdjustmentState, local: FloatArray) -> Where:
     line = state.centreline()
     origins, frames = line.frames_at(seen.chainage_mm)
     size = len(seen.frame)
@@ -240,7 +240,7 @@ def _off_the_wall(  # type: ignore[no-untyped-def]
         residual[n], chainage[n], direction[n, 0], direction[n, 1] = radius - model, z, x, y
 
 
-def _local(seen: Sightings, state: State) -> FloatArray:
+def _local(seen: Sightings, state: AdjustmentState) -> FloatArray:
     """(N, 3) observations in the pipe's own frame at each head, each ring's bias taken out."""
     heads = state.heads
     turned = rotations(heads[:, 0], heads[:, 1], heads[:, 4])
@@ -262,7 +262,12 @@ def _to_heads(points, slide, ways, ring, frame, bias, heads, turned, out):  # ty
 
 
 def adjust(
-    seen: Sightings, start: State, free: NDArray[np.bool_], *, scales_mm: Sequence[float] = (), rounds: int = 8
+    seen: Sightings,
+    start: AdjustmentState,
+    free: NDArray[np.bool_],
+    *,
+    scales_mm: Sequence[float] = (),
+    rounds: int = 8,
 ) -> Adjusted:
     """Gauss-Newton with Cauchy's weights, whose scale goes down in steps (`scales_mm`) to what is left.
 
@@ -361,7 +366,7 @@ class _Step:
 
 def _step(
     seen: Sightings,
-    state: State,
+    state: AdjustmentState,
     where: Where,
     weight: FloatArray,
     unit: float,
@@ -420,7 +425,7 @@ def _step(
     )
 
 
-def _priors(state: State) -> FloatArray:
+def _priors(state: AdjustmentState) -> FloatArray:
     """(P * PIECE,) how far a number of a piece moves in one step, standard deviation: what nobody saw stays near."""
     radius = float(state.pieces[0, RADIUS])
     of_radius = 0.1 * radius
@@ -428,7 +433,7 @@ def _priors(state: State) -> FloatArray:
     return np.tile(np.array(one), len(state.pieces))
 
 
-def by_head(seen: Sightings, state: State, where: Where) -> FloatArray:
+def by_head(seen: Sightings, state: AdjustmentState, where: Where) -> FloatArray:
     """(N, HEAD) what each number of its head does to each residual."""
     out = np.empty((len(seen.frame), HEAD))
     for i, step in enumerate(HEAD_STEPS):
@@ -438,7 +443,7 @@ def by_head(seen: Sightings, state: State, where: Where) -> FloatArray:
     return np.clip(out, -1e4, 1e4)
 
 
-def _by_pieces(seen: Sightings, state: State, where: Where, columns: NDArray[np.intp]) -> FloatArray:
+def _by_pieces(seen: Sightings, state: AdjustmentState, where: Where, columns: NDArray[np.intp]) -> FloatArray:
     """(N, n) what each free number does."""
     out = np.empty((len(seen.frame), len(columns)))
     local = _local(seen, state)
@@ -450,7 +455,7 @@ def _by_pieces(seen: Sightings, state: State, where: Where, columns: NDArray[np.
     return out
 
 
-def _by_bias(seen: Sightings, state: State, where: Where) -> FloatArray:
+def _by_bias(seen: Sightings, state: AdjustmentState, where: Where) -> FloatArray:
     """(N, R * BIAS) what each number of each ring's bias does."""
     more = replace(state, bias_mm=state.bias_mm + np.array([BIAS_STEP_MM, 0.0, 0.0]))
     change = (locate(seen, more).residual_mm - where.residual_mm) / BIAS_STEP_MM

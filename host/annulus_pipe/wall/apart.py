@@ -16,7 +16,7 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.wall.grid import BRIDGE_OF_RADIUS, Wall
 from annulus_pipe.wall.indications import Limits
 from annulus_pipe.wall.joints import Joint, taken
-from annulus_pipe.wall.looks import Points
+from annulus_pipe.wall.looks import LookPoints
 
 # Held by test_gaps_never_flattered.py, set with its even draws.
 ROW_MM = 1.0  # a gap has a row of its own between its ends
@@ -39,7 +39,7 @@ class Apart:
 
 
 def sound_wall_apart(
-    wall: Wall, points: Points | None, joints: Sequence[Joint] = (), shadow_ratio: float = 0.0
+    wall: Wall, points: LookPoints | None, joints: Sequence[Joint] = (), shadow_ratio: float = 0.0
 ) -> tuple[Apart, ...]:
     """Every stretch that is no plain wall in order of distance, and then one over all of the scan for what is.
 

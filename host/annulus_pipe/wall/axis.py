@@ -27,8 +27,8 @@ from annulus_pipe.wall.adjustment import (
     TAPER,
     TURN,
     Adjusted,
+    AdjustmentState,
     Sightings,
-    State,
     adjust,
     by_head,
     cost_of,
@@ -278,7 +278,7 @@ def _begins_something(found: Adjusted, i: int, kind: Begins, radius: float) -> b
     return bool(_matters(size[None], radius).any())
 
 
-def _less(state: State, piece: int) -> State:
+def _less(state: AdjustmentState, piece: int) -> AdjustmentState:
     """The state without a piece; what comes after it keeps its radius."""
     radii, pieces = state.radii_mm(), np.delete(state.pieces, piece, axis=0)
     if piece < len(pieces):
@@ -293,7 +293,7 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
     row = np.zeros((1, PIECE))
     row[0, RADIUS], row[0, START] = seen.radius_mm, seen.chainage_mm[0] - seen.radius_mm
     begins = [Begins.STRAIGHT]
-    now = adjust(seen, State(row, np.zeros((seen.rings, BIAS)), seen.heads), _free(begins))
+    now = adjust(seen, AdjustmentState(row, np.zeros((seen.rings, BIAS)), seen.heads), _free(begins))
     near_mm = float(np.percentile(now.where.chainage_mm, 1)) + ROUND_OF_RADIUS * seen.radius_mm
     part, heads = _up_to(seen, now, near_mm)
     near = adjust(part, replace(now.state, heads=now.state.heads[heads]), _free(begins))
@@ -352,7 +352,7 @@ def _first(seen: Sightings, now: Adjusted, places: FloatArray, needed: FloatArra
 
 def _begun(
     seen: Sightings, now: Adjusted, begins: Sequence[Begins], first: float, high: float
-) -> tuple[State, Begins] | None:
+) -> tuple[AdjustmentState, Begins] | None:
     """The kind of piece that explains best what begins at `first` or soon after, and the state with it."""
     step, reach = STEP_OF_RADIUS * seen.radius_mm, AHEAD_OF_RADIUS * seen.radius_mm
     places = np.arange(first, min(first + 0.75 * reach, high), step)
@@ -362,7 +362,7 @@ def _begun(
     tries = [(kind, kind) for kind in KINDS]
     if begins[-1] in (Begins.BEND, Begins.TAPER):
         tries.append((begins[-1], Begins.STRAIGHT))
-    best: tuple[float, State, Begins] | None = None
+    best: tuple[float, AdjustmentState, Begins] | None = None
     for shown_by, kind in tries:
         shown = gain[:, KINDS.index(shown_by)]
         if shown.max() < ENDS / 2:
@@ -385,7 +385,7 @@ def _begun(
     return replace(best[1], heads=everywhere), best[2]
 
 
-def _placed(seen: Sightings, state: State, piece: int) -> State:
+def _placed(seen: Sightings, state: AdjustmentState, piece: int) -> AdjustmentState:
     """The state with a joint where it costs least, within a radius of where it was; its two pipes stay."""
     was = float(state.pieces[piece, START])
     low = state.pieces[piece - 1, START] + 1.0
@@ -415,7 +415,7 @@ def _placed(seen: Sightings, state: State, piece: int) -> State:
 
 
 def _with(
-    seen: Sightings, state: State, begins: Sequence[Begins], kind: Begins, at_mm: float, size: FloatArray
+    seen: Sightings, state: AdjustmentState, begins: Sequence[Begins], kind: Begins, at_mm: float, size: FloatArray
 ) -> Adjusted:
     """One more piece from a place on, adjusted with the one before it."""
     last = state.pieces[-1]
@@ -476,7 +476,7 @@ def _up_to(seen: Sightings, now: Adjusted, upto_mm: float) -> tuple[Sightings, N
     return part, heads
 
 
-def _moved(profiles: Sequence[Profile], seen: Sightings, state: State) -> tuple[Profile, ...]:
+def _moved(profiles: Sequence[Profile], seen: Sightings, state: AdjustmentState) -> tuple[Profile, ...]:
     """The profiles in pipe coordinates."""
     out = list(profiles)
     line = state.centreline()

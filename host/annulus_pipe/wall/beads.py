@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.wall.grid import Wall
-from annulus_pipe.wall.points import ROW_MM, SECTORS, Points
+from annulus_pipe.wall.points import ROW_MM, SECTORS, WallPoints
 
 # All held together by test_beads.py and the benchmark topic scenes (s01a-butt); POINTS not tried.
 POINTS = 6  # of a sector, that give it a height
@@ -42,7 +42,7 @@ LOOK_POINTS = 36  # a look of fewer counts for less than one
 
 
 @dataclass(frozen=True, slots=True)
-class Bead:
+class WallBead:
     """mm along the pipe, and how far it stands into it; k2 of height and width, NaN where the width is no bead's.
     climbs : part of its height that its flank was seen to climb within its own height; may_climb : the same if it did
     so where nobody saw."""
@@ -66,7 +66,7 @@ class Bead:
         return self.may_climb < CLIMBS
 
 
-def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
+def measure_bead(wall: Wall, points: WallPoints, zone: tuple[float, float]) -> WallBead:
     """The bead that stands between two stations; the wall before and behind them is sound.
 
     Notes
@@ -113,7 +113,7 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
     before = (points.z_mm > start - BEHIND_OF_RADIUS * radius) & (points.z_mm <= start + FRONT_OF_RADIUS * radius)
     smeared = float(np.median(points.slit_mm[inside])) + ROW_MM
     climbs = _climbs(points.z_mm[before], points.height_mm[before], smeared)
-    return Bead(start, width, width_k2, height, 2.0 * float(np.hypot(noise, spread)), *climbs)
+    return WallBead(start, width, width_k2, height, 2.0 * float(np.hypot(noise, spread)), *climbs)
 
 
 def _crest(height: FloatArray, sector: NDArray[np.intp]) -> tuple[float, FloatArray]:

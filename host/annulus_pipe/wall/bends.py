@@ -12,7 +12,7 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.wall.adjustment import CURVATURE, PIECE, START, TAPER
 from annulus_pipe.wall.axis import Axis, Begins
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 
 # What bends with known truth begin elsewhere than the adjustment says, and what their plane is off.
 UNMODELLED_MM = 0.2  # of where a bend begins, k = 1: a real one does not begin at once, as the model's does
@@ -68,17 +68,17 @@ def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     angle = math.degrees(k * length)
     plane = math.degrees(math.atan2(way[1], way[0]))
     if angle < SURE * math.degrees(angle_k2):
-        turns = (Measure("angle_deg", angle, math.degrees(angle_k2)),)
+        turns = (FeatureMeasure("angle_deg", angle, math.degrees(angle_k2)),)
         return Feature(
             FeatureKind.NAMELESS, (start + end) / 2, length, measures=turns, remark="a bend, a joint or neither"
         )
     toward = clock_face(plane + 90.0)
     remark = f"{1 / k / diameter:.1f} D, {angle:.0f} degrees, to {toward.removesuffix(':00')}"
     measures = (
-        Measure("start_mm", start, 2.0 * math.hypot(axis.adjusted.sigma(i, START), UNMODELLED_MM)),
-        Measure("radius_mm", 1.0 / k, radius_k2),
-        Measure("angle_deg", angle, math.degrees(angle_k2)),
-        Measure("plane_deg", plane, math.degrees(math.hypot(plane_k2, 2.0 * UNMODELLED_TURN))),
+        FeatureMeasure("start_mm", start, 2.0 * math.hypot(axis.adjusted.sigma(i, START), UNMODELLED_MM)),
+        FeatureMeasure("radius_mm", 1.0 / k, radius_k2),
+        FeatureMeasure("angle_deg", angle, math.degrees(angle_k2)),
+        FeatureMeasure("plane_deg", plane, math.degrees(math.hypot(plane_k2, 2.0 * UNMODELLED_TURN))),
     )
     return Feature(FeatureKind.BEND, (start + end) / 2, length, measures=measures, remark=f"{remark} o'clock")
 
@@ -97,9 +97,9 @@ def _taper(axis: Axis, i: int, start: float, end: float, last: bool, common_mm: 
         return Feature(FeatureKind.NAMELESS, (start + end) / 2, end - start, remark=remark)
     short = end - start < 2.0 * piece.radius_mm and abs(after - before) > REDUCER * piece.radius_mm
     measures = (
-        Measure("radius_before_mm", before, math.hypot(change_k2, 2.0 * common_mm)),
-        Measure("radius_after_mm", after, math.hypot(change_k2, 2.0 * common_mm)),
-        Measure("taper_percent", 100.0 * piece.taper, 100.0 * change_k2 / (end - start)),
+        FeatureMeasure("radius_before_mm", before, math.hypot(change_k2, 2.0 * common_mm)),
+        FeatureMeasure("radius_after_mm", after, math.hypot(change_k2, 2.0 * common_mm)),
+        FeatureMeasure("taper_percent", 100.0 * piece.taper, 100.0 * change_k2 / (end - start)),
     )
     kind = FeatureKind.REDUCER if short else FeatureKind.TAPER
     return Feature(kind, (start + end) / 2, end - start, measures=measures, remark="goes on" if last else "")

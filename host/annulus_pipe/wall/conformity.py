@@ -37,7 +37,7 @@ Group = Literal["defect", "undecided", "feature", "pipe"]
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class LimitedQuantity:
     """What may be limited of a kind: its unit, the words for it, and whether less of it is worse."""
 
     unit: str
@@ -45,31 +45,37 @@ class Quantity:
     lower: bool = False
 
 
-QUANTITIES: Mapping[str, Mapping[str, Quantity]] = {
+QUANTITIES: Mapping[str, Mapping[str, LimitedQuantity]] = {
     "loss": {
-        "depth_mm": Quantity("mm", "depth"),
-        "depth_percent_diameter": Quantity("%", "depth, of the diameter"),
-        "depth_percent_wall": Quantity("%", "depth, of the wall thickness"),
+        "depth_mm": LimitedQuantity("mm", "depth"),
+        "depth_percent_diameter": LimitedQuantity("%", "depth, of the diameter"),
+        "depth_percent_wall": LimitedQuantity("%", "depth, of the wall thickness"),
     },
     "bump": {
-        "height_mm": Quantity("mm", "height"),
-        "height_percent_diameter": Quantity("%", "height, of the diameter"),
+        "height_mm": LimitedQuantity("mm", "height"),
+        "height_percent_diameter": LimitedQuantity("%", "height, of the diameter"),
     },
-    "ovality": {"percent": Quantity("%", "of the pipe's shape")},
+    "ovality": {"percent": LimitedQuantity("%", "of the pipe's shape")},
     "bore": {
-        "smallest_mm": Quantity("mm", "smallest diameter", lower=True),
-        "largest_mm": Quantity("mm", "largest diameter"),
+        "smallest_mm": LimitedQuantity("mm", "smallest diameter", lower=True),
+        "largest_mm": LimitedQuantity("mm", "largest diameter"),
     },
     "joint": {
-        "hilo_mm": Quantity("mm", "hi-lo"),
-        "angle_deg": Quantity("°", "angle"),
-        "bead_height_mm": Quantity("mm", "height of the bead"),
-        "bead_width_mm": Quantity("mm", "width of the bead"),
+        "hilo_mm": LimitedQuantity("mm", "hi-lo"),
+        "angle_deg": LimitedQuantity("°", "angle"),
+        "bead_height_mm": LimitedQuantity("mm", "height of the bead"),
+        "bead_width_mm": LimitedQuantity("mm", "width of the bead"),
     },
-    "gap": {"gap_mm": Quantity("mm", "width of the gap")},
-    "water": {"depth_mm": Quantity("mm", "depth"), "height_percent": Quantity("%", "height, of the diameter")},
-    "deposit": {"depth_mm": Quantity("mm", "depth"), "height_percent": Quantity("%", "height, of the diameter")},
-    "tee": {"protrusion_mm": Quantity("mm", "stands into the pipe by")},
+    "gap": {"gap_mm": LimitedQuantity("mm", "width of the gap")},
+    "water": {
+        "depth_mm": LimitedQuantity("mm", "depth"),
+        "height_percent": LimitedQuantity("%", "height, of the diameter"),
+    },
+    "deposit": {
+        "depth_mm": LimitedQuantity("mm", "depth"),
+        "height_percent": LimitedQuantity("%", "height, of the diameter"),
+    },
+    "tee": {"protrusion_mm": LimitedQuantity("mm", "stands into the pipe by")},
 }
 _MEASURED = {"bead_height_mm": "height_mm", "bead_width_mm": "width_mm"}  # as features name them
 _LISTED: Mapping[str, Kind] = {"loss": Kind.LOSS, "bump": Kind.BUMP}
@@ -168,7 +174,7 @@ class Judged:
         return self.severities[1]
 
     @property
-    def of(self) -> Quantity:
+    def of(self) -> LimitedQuantity:
         return QUANTITIES[self.kind][self.quantity]
 
 

@@ -28,7 +28,7 @@ from annulus_pipe.wall.indications import (
     without_holes,
 )
 from annulus_pipe.wall.levels import OFF_DEG
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.points import WallPoints
 from annulus_pipe.wall.shadow import shadowed
 from annulus_pipe.wall.standing import (
     END_WHY,
@@ -143,7 +143,7 @@ def find_defects(
     limits: Limits | None = None,
     features: BoolArray | None = None,
     joints: BoolArray | None = None,
-    points: Callable[[], Points] | None = None,
+    points: Callable[[], WallPoints] | None = None,
 ) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
 
@@ -265,7 +265,7 @@ def _measured(
     ratios: tuple[float, float],
     dark: BoolArray,
     crests: Float32Array | None,
-    points: Callable[[], Points] | None,
+    points: Callable[[], WallPoints] | None,
 ) -> tuple[Defect, BoolArray]:
     """A place as a line of the list, and its cells (Z, A) with what it hides. one : the same with its cells weighed by
     what they may be off, for measuring. ratios : of shadows, the widest ring's and the narrowest's. dark : (Z, A)

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.drift import SMALL, Drift, drifted, seen_with
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.wall.offsets import TERMS, Observations, Offsets
+from annulus_pipe.wall.offsets import TERMS, Offsets, RingObservations
 
 # How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
@@ -38,7 +38,7 @@ NONE = np.zeros(7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Before:
+class DriftPrior:
     """What is known beforehand: means and standard deviations (4,) of focal, slide, tube (mm), anamorphic; wall_mm (3,)
     how well the wall is known that the calibration says light goes on in, None where it says nothing."""
 
@@ -58,7 +58,7 @@ class Before:
 class Effects:
     """What a drift does to the rings' offsets: even (K, 7) and of two waves (K, 2, 7), mm; px_mm (K,) of a pixel."""
 
-    seen: Observations
+    seen: RingObservations
     weight: FloatArray
     calibration: Calibration
     even: FloatArray
@@ -67,7 +67,7 @@ class Effects:
     calibrated: FloatArray  # (K, K) mm^2: covariance of even offsets that the calibration leaves
 
     @classmethod
-    def of(cls, seen: Observations, weight: FloatArray, calibration: Calibration) -> "Effects":
+    def of(cls, seen: RingObservations, weight: FloatArray, calibration: Calibration) -> "Effects":
         rings, values = len(calibration.rings), SMALL.values
         bare = cls(seen, weight, calibration, NONE, NONE, NONE, NONE)
         parts = [
@@ -130,7 +130,7 @@ def _left_by(calibration: Calibration, even: FloatArray, away_px: FloatArray) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+class DriftEstimate:
     mean: FloatArray
     covariance: FloatArray
     left_mm: FloatArray  # (K,) of the even offsets
@@ -138,7 +138,7 @@ class Answer:
     opaque: float  # probability
 
 
-def answer_at(offsets: Offsets, effects: Effects, before: Before, z_mm: float) -> Answer:
+def answer_at(offsets: Offsets, effects: Effects, before: DriftPrior, z_mm: float) -> DriftEstimate:
     """The drift at a place."""
     terms = [k * TERMS + i for k in range(len(offsets.mm)) for i in (0, 3, 4)]
     noise = offsets.covariance[np.ix_(terms, terms)] + np.kron(effects.calibrated, np.diag([1.0, 0.0, 0.0]))
@@ -167,10 +167,10 @@ def answer_at(offsets: Offsets, effects: Effects, before: Before, z_mm: float) -
     covariance = np.einsum("n,nij->ij", weight, np.array(covariances)) + (apart.T * weight) @ apart
     opaque = float(sum(p for p, ((shift, *_), _) in zip(weight, many, strict=True) if shift == 0.0))
     left = offsets.at(z_mm)[:, 0] + effects.moved(Drift.of(at))[:, 0]
-    return Answer(at, covariance, left, float(weight @ np.array([px for _, (px, _) in many])), opaque)
+    return DriftEstimate(at, covariance, left, float(weight @ np.array([px for _, (px, _) in many])), opaque)
 
 
-def drift_before(before: Before, shift_mm: float, colour: float = YELLOW) -> tuple[FloatArray, FloatArray]:
+def drift_before(before: DriftPrior, shift_mm: float, colour: float = YELLOW) -> tuple[FloatArray, FloatArray]:
     """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much, and each colour by
     a part more or less."""
     mean = np.concatenate([before.mean, np.full(3, shift_mm)])

@@ -34,7 +34,7 @@ class FeatureKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Measure:
+class FeatureMeasure:
     """One number of a feature. `name` ends in its unit (height_mm, angle_deg); `k2` is the expanded uncertainty (k = 2)
     in that unit, NaN where nobody knows it."""
 
@@ -62,7 +62,7 @@ class Feature:
     length_mm: float
     clock_deg: float = 0.0
     arc_deg: float = 360.0
-    measures: tuple[Measure, ...] = ()
+    measures: tuple[FeatureMeasure, ...] = ()
     remark: str = ""
 
     @property

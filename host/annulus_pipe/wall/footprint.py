@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.wall.adjustment import BIAS, Sightings, State, locate
+from annulus_pipe.wall.adjustment import BIAS, AdjustmentState, Sightings, locate
 from annulus_pipe.wall.profile import Profile
 
 PROBE = 0.02  # of a ray's slope: step of the differences along a line, about half a slit
@@ -36,7 +36,7 @@ def slit_angles(profiles: Sequence[Profile], rings: int) -> FloatArray:
 
 def centred(
     seen: Sightings,
-    state: State,
+    state: AdjustmentState,
     cones: Sequence[Cone],
     points_mm: FloatArray,
     frame: NDArray[np.intp],
@@ -93,7 +93,7 @@ def centred(
 
 
 def _on_wall(
-    seen: Sightings, state: State, ways: FloatArray, ahead_mm: FloatArray, frame: NDArray[np.intp]
+    seen: Sightings, state: AdjustmentState, ways: FloatArray, ahead_mm: FloatArray, frame: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
     """(M,) mm ahead at which rays (M, 3) from the camera meet the wall, about where they are guessed to, and the
     chainage there; NaN where they do not."""

@@ -40,7 +40,7 @@ ALIKE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Observations:
+class WallObservations:
     """Every point of the wall with who measured it: one ring from one place is one observation, wrong or right as a
     whole, in however many frames.
 
@@ -80,7 +80,7 @@ class Wall:
     shape_covariance: FloatArray
     noise_mm: FloatArray
     cell_noise_mm: Float32Array
-    observations: Observations
+    observations: WallObservations
     sigma_mm: Float32Array
     scale_part: float = 0.0
     oval_part: float = 0.0
@@ -261,7 +261,7 @@ def build_wall(
     shape[:, 0] += course
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
-    observations = Observations(
+    observations = WallObservations(
         cell[keep], number[keep], radius[keep].astype(np.float32), sigma[keep].astype(np.float32), seen_by[keep]
     )
     measured = grid.astype(np.float32)

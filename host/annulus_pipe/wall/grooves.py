@@ -10,7 +10,7 @@ import numpy as np
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.wall.grid import Wall
-from annulus_pipe.wall.points import ROW_MM, SECTORS, Points
+from annulus_pipe.wall.points import ROW_MM, SECTORS, WallPoints
 
 # Held together by test_grooves.py and the benchmark topics scenes (s11a-groove) and stereo (stereo-a).
 ASIDE_OF_RADIUS = 0.12  # before and behind a groove: sound wall, and a shape that the groove does not drag about
@@ -23,7 +23,7 @@ TURNS = 2  # a deeper groove has a longer shadow: once more with the depth found
 
 
 def groove_floor(
-    wall: Wall, points: Points, z_range_mm: tuple[float, float], clock_deg: float, arc_deg: float, depth_mm: float
+    wall: Wall, points: WallPoints, z_range_mm: tuple[float, float], clock_deg: float, arc_deg: float, depth_mm: float
 ) -> tuple[float, float] | None:
     """Depth of a groove and its k = 2, mm; None where too little of its floor was seen.
 

@@ -33,8 +33,8 @@ from annulus_pipe.wall.adjustment import (
     PIECE_STEPS,
     START,
     Adjusted,
+    AdjustmentState,
     Sightings,
-    State,
     adjust,
 )
 
@@ -134,7 +134,7 @@ def _links(frame: NDArray[np.intp], turns: Turns) -> _Links | None:
     return _Links(np.array(a), np.array(b), np.array(count, np.float64), Rotation.from_rotvec(turned).as_matrix())
 
 
-def _difference(seen: Sightings, state: State, links: _Links) -> FloatArray:
+def _difference(seen: Sightings, state: AdjustmentState, links: _Links) -> FloatArray:
     """(E, 3) radians that the gyroscope says more than heads and line do, about the camera's axes."""
     heads = state.heads
     to_camera = rotations(heads[:, 0], heads[:, 1], heads[:, 4])

@@ -18,8 +18,8 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.centreline import Centreline, Piece
 from annulus_pipe.wall.defects import Defect, Detection, Kind
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
-from annulus_pipe.wall.grid import Observations, Wall
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
+from annulus_pipe.wall.grid import Wall, WallObservations
 from annulus_pipe.wall.stations import Stations
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import in_one
@@ -176,7 +176,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
     step = max(one.wall.z_step_mm for one in surveys)
     defects, number = _each_once([one.defects for one in surveys], cuts, step, _one_defect)
     features, _ = _each_once([one.features for one in surveys], cuts, step, _one_feature)
-    rows = _Rows.of([one.wall for one in surveys], step)
+    rows = _JoinedRows.of([one.wall for one in surveys], step)
     label = rows.laid([of[one.detection.label] for of, one in zip(number, surveys, strict=True)], 0)
     sums = Sums()
     for part in parts:
@@ -308,7 +308,7 @@ def _one_feature(one: Feature, other: Feature) -> Feature:
     if one.kind is FeatureKind.BEND:
         radius = longest.measured("radius_mm")
         values = {"start_mm": begin, "angle_deg": math.degrees((end - begin) / radius)}
-        measures = tuple(Measure(m.name, values.get(m.name, m.value), m.k2) for m in longest.measures)
+        measures = tuple(FeatureMeasure(m.name, values.get(m.name, m.value), m.k2) for m in longest.measures)
     return replace(longest, z_mm=(begin + end) / 2, length_mm=end - begin, measures=measures)
 
 
@@ -331,14 +331,14 @@ def _by_kind(findings: Sequence[Finding], windows: int) -> tuple[Finding, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
+class _JoinedRows:
     """Where the rows of windows stand on one grid; rows that no window has are of nobody."""
 
     own: NDArray[np.int64]  # (R,) of each window's rows, one after the other: which of the grid's they are
     z_mm: FloatArray  # (Z,) of the grid
 
     @classmethod
-    def of(cls, walls: Sequence[Wall], step_mm: float) -> "_Rows":
+    def of(cls, walls: Sequence[Wall], step_mm: float) -> "_JoinedRows":
         z = np.concatenate([wall.z_mm for wall in walls])
         own = np.rint((z - z[0]) / step_mm).astype(np.int64)
         return cls(own, z[0] + np.arange(int(own[-1]) + 1) * step_mm)
@@ -356,7 +356,7 @@ class _Rows:
         return np.asarray(np.concatenate(values)[before])
 
 
-def _side_by_side(walls: Sequence[Wall], rows: _Rows) -> Wall:
+def _side_by_side(walls: Sequence[Wall], rows: _JoinedRows) -> Wall:
     unknown = np.float32(np.nan)
     return Wall(
         rows.z_mm,
@@ -374,8 +374,8 @@ def _side_by_side(walls: Sequence[Wall], rows: _Rows) -> Wall:
     )
 
 
-def _nobody() -> Observations:
-    return Observations(
+def _nobody() -> WallObservations:
+    return WallObservations(
         np.zeros(0, np.int64),
         np.zeros(0, np.int32),
         np.zeros(0, np.float32),

@@ -24,10 +24,10 @@ from annulus_pipe.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus_pipe.wall.axis import OFFSET_OF_RADIUS, RADIUS_STEP, Axis, Begins
 from annulus_pipe.wall.beads import measure_bead
 from annulus_pipe.wall.bends import REDUCER, SURE, is_sure
-from annulus_pipe.wall.features import GAP_OR_GROOVE, NOT_TOLD, Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import GAP_OR_GROOVE, NOT_TOLD, Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import ALIKE, Wall
 from annulus_pipe.wall.indications import Limits
-from annulus_pipe.wall.points import ROW_MM, SECTORS, SOUND, Points
+from annulus_pipe.wall.points import ROW_MM, SECTORS, SOUND, WallPoints
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shadow import SLIT_OF_RADIUS
 
@@ -88,7 +88,7 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_rati
     """
     limits = Limits()
     limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
-    rows = _Rows.of(wall, limit)
+    rows = _WallRows.of(wall, limit)
     starts = [piece.start_mm for piece in axis.centreline.pieces]
     zones = [(rows.zone(starts[i]), i) for i, kind in enumerate(axis.begins) if kind is Begins.JOINT]
     welds: list[tuple[float, float]] = []
@@ -99,7 +99,7 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_rati
     beads = rows.beads()
     if not zones and not welds and not beads:
         return ()
-    points, least_shadow_ratio = Points.of(wall, profiles, shadow_ratios), float(shadow_ratios.min())
+    points, least_shadow_ratio = WallPoints.of(wall, profiles, shadow_ratios), float(shadow_ratios.min())
     tried = [_joint(wall, points, rows, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
     tried += [_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
     found = [joint for joint in tried if joint is not None]
@@ -163,7 +163,7 @@ class _Off:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
+class _WallRows:
     """Of each row of the wall: whether it is sound, and how far it departs all round (mm, NaN where it does not)."""
 
     z_mm: FloatArray
@@ -175,7 +175,7 @@ class _Rows:
     inwards: BoolArray
 
     @classmethod
-    def of(cls, wall: Wall, limit: float) -> "_Rows":
+    def of(cls, wall: Wall, limit: float) -> "_WallRows":
         seen = wall.seen & (wall.count > 0)  # what was filled in between two lips is no wall
         height = np.where(seen, wall.residual_mm(), np.nan).astype(np.float64)
         count = np.maximum(seen.sum(axis=1), 1)
@@ -267,8 +267,8 @@ class _Rows:
 
 def _joint(
     wall: Wall,
-    points: Points,
-    rows: _Rows,
+    points: WallPoints,
+    rows: _WallRows,
     zone: tuple[float, float],
     limit: float,
     axis: Axis,
@@ -278,7 +278,7 @@ def _joint(
     """What a zone shows, and the line in it where it begins a `piece` there; None where that is no joint."""
     form = _form(wall, points, zone, limit)
     first, last = points.trimmed(zone, limit)
-    measures: list[Measure] = []
+    measures: list[FeatureMeasure] = []
     middle, length = (first + last) / 2, last - first
     bead = measure_bead(wall, points, (first, last)) if form is _Form.BEAD else None
     if bead is not None and bead.is_none:
@@ -287,7 +287,7 @@ def _joint(
         end = bead.start_mm + bead.width_mm
         first, last = min(first, bead.start_mm), max(last, end)
         middle, length = (bead.start_mm + end) / 2, bead.width_mm
-    of_line: list[Measure] = []
+    of_line: list[FeatureMeasure] = []
     if piece is not None and axis.adjusted is not None:
         off = rows.line_off(wall, axis, piece, (first, last), middle, length)
         if off is not None:
@@ -301,14 +301,14 @@ def _joint(
     if bead is not None and bead.is_sure and (jumps or not bead.height_k2_mm > BEAD_KNOWN * bead.height_mm):
         kind, remark = FeatureKind.JOINT, "butt fusion"
         width = math.nan if math.isnan(bead.width_k2_mm) else bead.width_mm
-        measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
-        measures.append(Measure("width_mm", width, bead.width_k2_mm))
+        measures.append(FeatureMeasure("height_mm", bead.height_mm, bead.height_k2_mm))
+        measures.append(FeatureMeasure("width_mm", width, bead.width_k2_mm))
     elif gap > gap_k2 and not jumps:
         kind, remark = FeatureKind.NAMELESS, GAP_OR_GROOVE
         of_line = []
     elif gap > gap_k2:  # what may be none is not called one: slits about a step read as much
         kind, remark, length = FeatureKind.GAP, "coupling", gap
-        measures.append(Measure("gap_mm", gap, gap_k2))
+        measures.append(FeatureMeasure("gap_mm", gap, gap_k2))
     else:
         # where a line without a name ends is no more sure
         by_line = piece is not None and is_sure(axis, piece - 1)
@@ -336,7 +336,7 @@ class _Form(Enum):
     UNSEEN = "hardly anything but wall"
 
 
-def _form(wall: Wall, points: Points, zone: tuple[float, float], limit: float) -> _Form:
+def _form(wall: Wall, points: WallPoints, zone: tuple[float, float], limit: float) -> _Form:
     """Sector by sector, by most of the points that lie on neither wall."""
     points = points.between(*zone)
     aside = wall.z_step_mm
@@ -354,12 +354,14 @@ def _form(wall: Wall, points: Points, zone: tuple[float, float], limit: float) -
     return _Form.GAP if (outwards > 0.5 * off)[says].mean() >= SHOWS else _Form.BETWEEN
 
 
-def _is_sure(one: Measure) -> bool:
+def _is_sure(one: FeatureMeasure) -> bool:
     """Of the line, as surely as `axis` asks before it begins a piece."""
     return abs(one.value) > SURE * one.k2
 
 
-def _of_what_line(of_line: Sequence[Measure], radius_mm: float, disturbed: bool) -> tuple[FeatureKind, str] | None:
+def _of_what_line(
+    of_line: Sequence[FeatureMeasure], radius_mm: float, disturbed: bool
+) -> tuple[FeatureKind, str] | None:
     """What a line that jumps, turns or steps is where the wall shows neither bead nor gap; None where it is nothing."""
     if not of_line:
         return FeatureKind.NAMELESS, "a joint, or what else changes the pipe's line: too little wall was seen beside it"
@@ -377,14 +379,14 @@ def _of_what_line(of_line: Sequence[Measure], radius_mm: float, disturbed: bool)
     return (FeatureKind.NAMELESS, "a joint, or nothing") if disturbed else None
 
 
-def _of_reducer(of_line: Sequence[Measure]) -> list[Measure]:
+def _of_reducer(of_line: Sequence[FeatureMeasure]) -> list[FeatureMeasure]:
     """A reducer's measures, of those of the line at it."""
     step, after = (next(one for one in of_line if one.name == name) for name in ("step_mm", "radius_after_mm"))
     before_k2 = math.hypot(after.k2, step.k2 / 2.0)
-    return [Measure("radius_before_mm", after.value - step.value / 2.0, before_k2), after]
+    return [FeatureMeasure("radius_before_mm", after.value - step.value / 2.0, before_k2), after]
 
 
-def _gap(wall: Wall, points: Points, zone: tuple[float, float], limit: float) -> tuple[float, float]:
+def _gap(wall: Wall, points: WallPoints, zone: tuple[float, float], limit: float) -> tuple[float, float]:
     """mm between the ends of two pipes, and its k = 2: in each sector what is not sound about the zone's middle, less
     what a slit adds at either end. Pipes that meet at an angle have their ends askew: rows all round would read long.
 
@@ -440,7 +442,9 @@ def common_mm(wall: Wall, behind_mm: float = -math.inf) -> float:
     return math.hypot(wall.point_mm(behind_mm), wall.scale_part * wall.mean_radius_mm)
 
 
-def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float, point_mm: float) -> list[Measure]:
+def _of_line(
+    axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float, point_mm: float
+) -> list[FeatureMeasure]:
     """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty, and what the
     wall beside the joint is off the line. common_mm : what all radii may be off alike, which a step has nothing of.
     point_mm : what one of the wall's points may be off: of that half is in where the line lies on either side."""
@@ -453,10 +457,12 @@ def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float, 
     radius_sigma = math.hypot(axis.adjusted.sigma(piece, RADIUS), off.radius_mm)
     hilo_k2 = 2.0 * math.hypot(sigma[0], sigma[1], off.lever_mm * turn_sigma, off.offset_mm, ALIKE * point_mm)
     return [
-        Measure("hilo_mm", hilo, hilo_k2),
-        Measure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
-        Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
-        Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
-        Measure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * radius_sigma),
-        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * math.hypot(radius_sigma, common_mm)),
+        FeatureMeasure("hilo_mm", hilo, hilo_k2),
+        FeatureMeasure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
+        FeatureMeasure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
+        FeatureMeasure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
+        FeatureMeasure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * radius_sigma),
+        FeatureMeasure(
+            "radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * math.hypot(radius_sigma, common_mm)
+        ),
     ]

@@ -20,7 +20,7 @@ from annulus_pipe.geometry.pose import rotation_z
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
 from annulus_pipe.wall.chords import DOWN_DEG, Chord, Slabs, find_chords, turn_from
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import cell_medians
 from annulus_pipe.wall.pose import fit_pose
 from annulus_pipe.wall.profile import Profile
@@ -169,9 +169,9 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     last = edges[1] if ends else float(slabs.z_mm[-1] + step / 2)
     remark = "flat" if flat else f"uneven by {(high - low) / 2:.1f} mm up and down"
     measures = (
-        Measure("level_mm", level, 2.0 * error),
-        Measure("depth_mm", bottom - level, 2.0 * math.hypot(error, chord.radius_sigma_mm)),
-        Measure("height_percent", 50.0 * (1.0 - level / bottom), 100.0 * error / bottom),
+        FeatureMeasure("level_mm", level, 2.0 * error),
+        FeatureMeasure("depth_mm", bottom - level, 2.0 * math.hypot(error, chord.radius_sigma_mm)),
+        FeatureMeasure("height_percent", 50.0 * (1.0 - level / bottom), 100.0 * error / bottom),
     )
     feature = Feature(
         kind or FeatureKind.DEPOSIT,

@@ -29,7 +29,7 @@ PLACE_LEAST_OF_RADIUS = 0.0007  # of the radius: a ring's place is not known bet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class LookPoints:
     """Every point of the profiles, (N,): radius_mm, clock_deg, z_mm, departure_mm (radius less the pipe's shape,
     positive outwards), and look, the row of `Looks` it belongs to."""
 
@@ -54,7 +54,7 @@ class Looks:
     view: NDArray[np.int64]
 
 
-def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) -> tuple[Points, Looks]:
+def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) -> tuple[LookPoints, Looks]:
     """Points and looks of all profiles that have a pose and points."""
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     rings = len(calibration.rings)
@@ -64,7 +64,7 @@ def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) 
     radius, clock = np.hypot(x, y), np.degrees(np.arctan2(x, -y)) % 360.0
     shape = np.stack([np.interp(z, wall.z_mm, column) for column in wall.shape_mm.T], axis=1)
     departure = radius - (shape * harmonics(clock)).sum(axis=1)
-    points = Points(radius, clock, z, departure, look)
+    points = LookPoints(radius, clock, z, departure, look)
 
     vertex = np.array([cone.vertex_mm[2] for cone in calibration.rings])
     source = (np.array([p.z_mm for p in used])[:, None] + vertex).ravel()

@@ -34,7 +34,7 @@ TERMS = 5  # of a ring's offset: even; one wave and two round the head, cosine a
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observations:
+class RingObservations:
     """(N,): head, ring, point in its camera's frame (N, 3) mm; each head's pose and station."""
 
     head: NDArray[np.intp]
@@ -61,7 +61,7 @@ class Observations:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class KnownSection:
     """A stretch whose radius is known: mm along the pipe, mm, standard deviation."""
 
     from_mm: float
@@ -96,7 +96,7 @@ class Offsets:
         return out
 
 
-def observations(profiles: Sequence[Profile]) -> Observations:
+def observations(profiles: Sequence[Profile]) -> RingObservations:
     """The middle one of each sector's points. profiles : with poses and points."""
     head, ring, points = [], [], []
     for number, profile in enumerate(profiles):
@@ -113,11 +113,11 @@ def observations(profiles: Sequence[Profile]) -> Observations:
         points.append(profile.pose.to_camera(profile.points_mm[middle].astype(np.float64), profile.z_mm))
     poses = tuple(profile.pose for profile in profiles if profile.pose is not None)
     z_mm = np.array([profile.z_mm for profile in profiles])
-    return Observations(np.concatenate(head), np.concatenate(ring), np.concatenate(points), poses, z_mm)
+    return RingObservations(np.concatenate(head), np.concatenate(ring), np.concatenate(points), poses, z_mm)
 
 
 def ring_offsets(
-    seen: Observations, rings: int, radius_mm: float, sections: Sequence[Section] = (), held: bool = True
+    seen: RingObservations, rings: int, radius_mm: float, sections: Sequence[KnownSection] = (), held: bool = True
 ) -> Offsets:
     """radius_mm : of the pipe, roughly. sections : of which something was seen. With two of them offsets may change
     evenly from one to the other. held : to their radii; else they are only read.
@@ -206,7 +206,7 @@ def ring_offsets(
     )
 
 
-def _alike(seen: Observations, clock: FloatArray, residual: FloatArray) -> float:
+def _alike(seen: RingObservations, clock: FloatArray, residual: FloatArray) -> float:
     """How many observations say as much as one: those beside one another round a ring, and from frame to frame."""
     sector = np.floor((clock / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp) % SECTORS
     out = 1.0

@@ -22,10 +22,10 @@ from scipy import ndimage, optimize
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus_pipe.numeric.robust import robust_sigma
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import ALIKE, Wall
 from annulus_pipe.wall.indications import label_around
-from annulus_pipe.wall.looks import COLUMNS, Looks, Points, looks_of
+from annulus_pipe.wall.looks import COLUMNS, LookPoints, Looks, looks_of
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shape import harmonics
 
@@ -93,7 +93,7 @@ class _Bore:
 
 
 def find_openings(
-    wall: Wall, profiles: Sequence[Profile], calibration: Calibration, seen: tuple[Points, Looks] | None = None
+    wall: Wall, profiles: Sequence[Profile], calibration: Calibration, seen: tuple[LookPoints, Looks] | None = None
 ) -> tuple[tuple[Feature, ...], BoolArray]:
     """Branches and tees, and (Z, A) the cells of the wall they explain: inside there is no wall.
 
@@ -170,7 +170,7 @@ def _within(bore: _Bore, other: _Bore) -> bool:
     return float(np.hypot(across, bore.z_mm - other.z_mm)) < other.radius_mm
 
 
-def _about(bore: _Bore, points: Points, looks: Looks, size: float) -> tuple[Points, Looks]:
+def _about(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> tuple[LookPoints, Looks]:
     """The points and looks of it and of the wall around it."""
     reach = 2 * bore.radius_mm + ABOUT * size
     some = (np.abs(points.z_mm - bore.z_mm) < reach) & (np.abs(bore.aside(points.clock_deg)) < reach / size)
@@ -178,7 +178,9 @@ def _about(bore: _Bore, points: Points, looks: Looks, size: float) -> tuple[Poin
     number = np.cumsum(near) - 1
     some &= near[points.look]
     number = number[points.look[some]]
-    kept = Points(points.radius_mm[some], points.clock_deg[some], points.z_mm[some], points.departure_mm[some], number)
+    kept = LookPoints(
+        points.radius_mm[some], points.clock_deg[some], points.z_mm[some], points.departure_mm[some], number
+    )
     return kept, Looks(looks.z_mm[near], looks.run[near], looks.departure_mm[near], looks.lit[near], looks.view[near])
 
 
@@ -236,7 +238,7 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
     return out
 
 
-def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | None:
+def _fitted(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore | None:
     """The circle through faces and ends of rings; None where it runs away."""
     for gate in GATES:
         rim = _rim(bore, points, looks, size)
@@ -295,7 +297,7 @@ def _level(bore: _Bore, angle: FloatArray) -> FloatArray:
     return np.asarray(np.minimum((bore.wall_mm - bore.stands_mm) / np.maximum(np.cos(angle), 0.2) - bore.wall_mm, 0.0))
 
 
-def _rim(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore:
+def _rim(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore:
     """The bore with the rim that stands about it, or without.
 
     Its height is taken at the sides, where it runs along the pipe and a slit's width blurs nothing.
@@ -340,7 +342,7 @@ def _passing(bore: _Bore, looks: Looks, size: float) -> tuple[FloatArray, FloatA
     return across, along, missed, looks.lit & (np.cos(angle) > 0.3)
 
 
-def _ends(bore: _Bore, points: Points, looks: Looks, size: float) -> FloatArray:
+def _ends(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> FloatArray:
     """(E, 2) across and along, from the centre, where rings end at the sides and the near half of the opening: half a
     direction beyond their last points."""
     across, along, missed, known = _passing(bore, looks, size)
@@ -366,7 +368,7 @@ def _ends(bore: _Bore, points: Points, looks: Looks, size: float) -> FloatArray:
     return found[found[:, 1] < 0.1 * bore.radius_mm]
 
 
-def _is_open(bore: _Bore, points: Points, looks: Looks, size: float, *, face_only: bool = False) -> bool:
+def _is_open(bore: _Bore, points: LookPoints, looks: Looks, size: float, *, face_only: bool = False) -> bool:
     """Whether nothing is inside, sound wall or rim about it, and a round face or a rim to show for it. face_only : what
     it was begun with stands in anyhow, as a bump or a heap of silt does, whose shadow is dark as well."""
     across, along, missed, known = _passing(bore, looks, size)
@@ -407,12 +409,12 @@ def _feature(bore: _Bore, point_mm: float, scale_part: float) -> Feature:
     reach = bore.rim_mm if bore.stands_mm else bore.radius_mm
     arc = 2 * float(np.degrees(np.arcsin(min(reach / bore.wall_mm, 1.0))))
     radius_sigma = np.linalg.norm([bore.sigma_mm, CIRCLE * bore.wall_mm, scale_part * bore.radius_mm])
-    measures = [Measure("inner_d_mm", 2 * bore.radius_mm, 2 * 2 * float(radius_sigma))]
+    measures = [FeatureMeasure("inner_d_mm", 2 * bore.radius_mm, 2 * 2 * float(radius_sigma))]
     if bore.stands_mm:
         sigma = np.linalg.norm([bore.stands_sigma_mm, RIM * bore.wall_mm, ALIKE * point_mm])
-        measures.append(Measure("protrusion_mm", bore.stands_mm, 2 * float(sigma)))
+        measures.append(FeatureMeasure("protrusion_mm", bore.stands_mm, 2 * float(sigma)))
     elif bore.may_stand:
-        measures.append(Measure("protrusion_mm", math.nan))
+        measures.append(FeatureMeasure("protrusion_mm", math.nan))
     kind = FeatureKind.TEE if bore.stands_mm else FeatureKind.BRANCH
     return Feature(kind, bore.z_mm, 2 * reach, bore.clock_deg, arc, tuple(measures))
 

@@ -43,7 +43,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class DefectView:
     """A defect as one shot sees it. outline : closed lines in pixels of the frame, each (N, 2). ticks : clock angle, in
     degrees, and two pixels, its begin and its end. ahead_mm : how far before the camera; oblique_deg : between the
     wall's normal and the look at it, at the middle. inside : part of the outline in the picture."""
@@ -61,13 +61,13 @@ class View:
 class Photograph:
     """A part of one LED frame, (H, W, 3) uint8 BGR, brightness stretched; `view` in pixels of this part."""
 
-    view: View
+    view: DefectView
     image_bgr: Image
 
 
 def best_views(
     survey: Survey, calibration: Calibration, shots: Sequence[Shot], indices: Sequence[int]
-) -> dict[int, View]:
+) -> dict[int, DefectView]:
     """The best view of each of some defects, by its index; none of an out-of-round stretch, which is no place, and of
     what no shot shows half of."""
     pose = cache(lambda z_mm: pose_at(survey.profiles, z_mm))
@@ -81,7 +81,7 @@ def best_views(
             return None
         return pixels_of(line, survey.centreline, calibration, stood, shot.z_mm, shot.camera)
 
-    out: dict[int, View] = {}
+    out: dict[int, DefectView] = {}
     for index in indices:
         defect = survey.defects[index]
         lines = _outline(survey, index, shape)
@@ -103,11 +103,11 @@ def best_views(
             ticks = [(clock, seen(shots[k], line)) for clock, line in _ticks(survey, defect, shape)]
             marks = [(clock, at) for clock, at in ticks if at is not None and np.isfinite(at).all()]
             oblique = math.degrees(math.atan2(ahead, radius))
-            out[index] = View(index, shots[k], tuple(outline), tuple(marks), ahead, oblique, inside)
+            out[index] = DefectView(index, shots[k], tuple(outline), tuple(marks), ahead, oblique, inside)
     return out
 
 
-def crop(view: View, image: Image) -> Photograph:
+def crop(view: DefectView, image: Image) -> Photograph:
     """The part of the frame about a defect, no larger than SIDE_MAX_PX a side."""
     height, width = image.shape[:2]
     points = np.concatenate(view.outline)
@@ -127,7 +127,7 @@ def crop(view: View, image: Image) -> Photograph:
     even = (part.astype(np.float32) - black) * (255.0 / max(float(white - black), 1.0))
     moved = [(line - start) * scale for line in view.outline]
     ticks = tuple((clock, (line - start) * scale) for clock, line in view.ticks)
-    own = View(view.index, view.shot, tuple(moved), ticks, view.ahead_mm, view.oblique_deg, view.inside)
+    own = DefectView(view.index, view.shot, tuple(moved), ticks, view.ahead_mm, view.oblique_deg, view.inside)
     return Photograph(own, np.clip(even, 0, 255).astype(np.uint8))
 
 

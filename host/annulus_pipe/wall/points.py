@@ -19,7 +19,7 @@ SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no j
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class WallPoints:
     """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
     off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm; its
     radius, mm, and clock angle; the number of its look (one ring in one frame)."""
@@ -35,7 +35,7 @@ class Points:
     look: NDArray[np.intp]
 
     @classmethod
-    def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "Points":
+    def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "WallPoints":
         x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
         clock, radius = np.degrees(np.arctan2(x, -y)) % 360.0, np.hypot(x, y)
         row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
@@ -50,10 +50,10 @@ class Points:
         look = frame * len(shadow_ratios) + ring
         return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock, look)
 
-    def between(self, first_mm: float, last_mm: float) -> "Points":
+    def between(self, first_mm: float, last_mm: float) -> "WallPoints":
         """Those of a stretch; a long scan has ten millions."""
         near = (self.z_mm >= first_mm) & (self.z_mm < last_mm)
-        return Points(*(getattr(self, one.name)[near] for one in fields(self)))
+        return WallPoints(*(getattr(self, one.name)[near] for one in fields(self)))
 
     def over(self, wall: Wall, at_mm: float) -> FloatArray:
         """How far each point stands inwards of the pipe's shape at one chainage, mm."""

@@ -21,8 +21,8 @@ from annulus_pipe.geometry.drift import Drift, drifted, seen_with
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, off, quoted, span
 from annulus_pipe.vocabulary import Finding
-from annulus_pipe.wall.explained import Before, Effects, answer_at
-from annulus_pipe.wall.offsets import TERMS, Offsets, Section, observations, ring_offsets
+from annulus_pipe.wall.explained import DriftPrior, Effects, answer_at
+from annulus_pipe.wall.offsets import TERMS, KnownSection, Offsets, observations, ring_offsets
 from annulus_pipe.wall.optics import Prior
 from annulus_pipe.wall.pose import fit_pose
 from annulus_pipe.wall.profile import Profile
@@ -159,7 +159,7 @@ def find_scale(
     plain = ring_offsets(seen, len(calibration.rings), radius, _sections(references), held=False)
     effects = Effects.of(seen, plain.weight, calibration)
     tube_mm = float(np.linalg.norm(calibration.rings[0].vertex_mm))
-    before = Before(
+    before = DriftPrior(
         np.array([prior.focal_mean, prior.slide_mean, prior.tube_mean * tube_mm, 0.0]),
         np.array([prior.focal, prior.slide, prior.tube * tube_mm, prior.anamorphic]),
         wall_mm,
@@ -217,12 +217,12 @@ def with_marks(scale: AbsoluteScale | None, marks: tuple[float, float] | None) -
     return replace(scale, covariance=covariance, marks=(marks[0], sigma), astray=abs(float(scale.even @ gain * off)))
 
 
-def _sections(references: Sequence[ReferenceSection]) -> list[Section]:
-    return [Section(one.from_mm, one.to_mm, one.diameter_mm / 2, one.diameter_k2_mm / 4) for one in references]
+def _sections(references: Sequence[ReferenceSection]) -> list[KnownSection]:
+    return [KnownSection(one.from_mm, one.to_mm, one.diameter_mm / 2, one.diameter_k2_mm / 4) for one in references]
 
 
 def _refused_sections(
-    plain: Offsets, effects: Effects, before: Before, references: Sequence[ReferenceSection], radius_mm: float
+    plain: Offsets, effects: Effects, before: DriftPrior, references: Sequence[ReferenceSection], radius_mm: float
 ) -> list[tuple[ReferenceSection, float, str]]:
     """Those that are no reference: uneven, of another size than the scan without them allows, or at odds.
 
@@ -251,7 +251,7 @@ def _refused_sections(
     return out
 
 
-def _observed_k2_mm(offsets: Offsets, sections: Sequence[Section]) -> float:
+def _observed_k2_mm(offsets: Offsets, sections: Sequence[KnownSection]) -> float:
     """Of a section's diameter, as all rings together saw it, beside what is not known of the section itself; NaN
     without one."""
     if not sections:

@@ -10,7 +10,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.wall.defects import Defect, Kind
-from annulus_pipe.wall.grid import Observations, Wall, smooth
+from annulus_pipe.wall.grid import Wall, WallObservations, smooth
 from annulus_pipe.wall.survey import Survey
 
 MOST = 20  # defects that are shown from close by: a page of 200 is read by nobody
@@ -19,7 +19,7 @@ ALIKE = 0.05  # part of a depth, by which cells may differ from it and still be 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Section:
+class DefectSection:
     """Of one defect, departures in mm from the mean circle about the pipe's own centre, outwards positive.
 
     index : of the survey's defects. z_mm, clock_deg : where both lines cross, the middle of the deepest that is sure.
@@ -49,7 +49,7 @@ def worth_showing(defects: Sequence[Defect], most: int = MOST, first: Sequence[i
     return tuple(sorted(list(dict.fromkeys([*first, *deepest]))[:most]))
 
 
-def cut(survey: Survey, indices: Sequence[int]) -> tuple[Section, ...]:
+def cut(survey: Survey, indices: Sequence[int]) -> tuple[DefectSection, ...]:
     """Sections of some of the survey's defects; of one that was seen nowhere there is none."""
     out = []
     for index in indices:
@@ -70,7 +70,7 @@ def cut(survey: Survey, indices: Sequence[int]) -> tuple[Section, ...]:
         along_datum = shape[:, column] - wall.shape_mm[:, :3] @ circle[column]
         mean = float(wall.shape_mm[row, 0])
         out.append(
-            Section(
+            DefectSection(
                 index,
                 float(wall.z_mm[row]),
                 float(wall.clock_deg[column]),
@@ -103,7 +103,7 @@ def _stretch(wall: Wall, rows: slice) -> Wall:
         wall.shape_covariance[rows],
         wall.noise_mm[rows],
         wall.cell_noise_mm[rows],
-        Observations(
+        WallObservations(
             seen.cell[mine] - rows.start * columns,
             seen.number[mine],
             seen.radius_mm[mine],

@@ -32,7 +32,7 @@ from annulus_pipe.wall.looks import looks_of
 from annulus_pipe.wall.lost import lost_rings, objects_before_the_wall
 from annulus_pipe.wall.openings import find_openings
 from annulus_pipe.wall.pace import Pace
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.points import WallPoints
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.registration import register
 from annulus_pipe.wall.rests import without_rests
@@ -281,7 +281,7 @@ def survey(
         least_shadow_ratio=1.0 / widest,
         features=explained,
         joints=np.asarray(of_joints.any(axis=1)),
-        points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
+        points=cache(lambda: WallPoints.of(wall, measured, 1.0 / rises)),
     )
     done("defects")
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)

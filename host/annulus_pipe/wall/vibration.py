@@ -36,7 +36,7 @@ WILD = 5.0  # robust standard deviations: an observation so far off its frame's 
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class VibrationLine:
     """One frequency that was taken out. hertz is None where the frame rate is not known. mm: amplitude on the wall by
     mode (see MODES), the worst place round the clock; amplitude_mm of all together."""
 
@@ -54,7 +54,7 @@ class Vibration:
     """What was looked for and what was found. rms_mm: of the frames' common departures, before and after. why: where
     nothing could be looked for."""
 
-    lines: tuple[Line, ...]
+    lines: tuple[VibrationLine, ...]
     rms_mm: tuple[float, float]
     why: str = ""
 
@@ -94,7 +94,7 @@ def without_vibration(profiles: Sequence[Profile], fps: float | None = None) -> 
         for i in used:
             current[i] = _less(current[i], _wave(current[i].z_mm, f) @ weights, seen.reach_mm)
     lines = [
-        Line(1e3 * f, None if fps is None or math.isnan(pace) else f * pace * fps, _amplitudes(weights))
+        VibrationLine(1e3 * f, None if fps is None or math.isnan(pace) else f * pace * fps, _amplitudes(weights))
         for f, weights in found
     ]
     lines = sorted((line for line in lines if line.mm), key=lambda line: -line.amplitude_mm)

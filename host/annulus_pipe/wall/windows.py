@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray, IntArray
-from annulus_pipe.wall.grid import Observations, Wall, z_step_of
+from annulus_pipe.wall.grid import Wall, WallObservations, z_step_of
 from annulus_pipe.wall.lost import lost_rings
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.survey import Survey, stations_of
@@ -59,7 +59,7 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class WindowPlan:
     """Windows in the order of the pipe; the length of a row of each and of the map of the whole, mm."""
 
     windows: tuple[Window, ...]
@@ -67,16 +67,16 @@ class Plan:
     whole_step_mm: float
 
 
-def plan(reaches: Sequence[Reach | None], radius_mm: float, points_max: int = POINTS_MAX) -> Plan:
+def plan(reaches: Sequence[Reach | None], radius_mm: float, points_max: int = POINTS_MAX) -> WindowPlan:
     """How a scan is cut, or is not: one window of all frames where they have no more points than `points_max` together.
 
     reaches : of every projector frame, in their order. radius_mm : nominal.
     """
     at = np.array([i for i, one in enumerate(reaches) if one is not None], np.int64)
-    known = _Frames.of([one for one in reaches if one is not None])
+    known = _SortedFrames.of([one for one in reaches if one is not None])
     total = int(known.points.sum())
     if total <= points_max:
-        return Plan((Window(-math.inf, math.inf, tuple(range(len(reaches)))),), math.nan, math.nan)
+        return WindowPlan((Window(-math.inf, math.inf, tuple(range(len(reaches)))),), math.nan, math.nan)
     begin, end = float(known.low_mm[0]), float(known.farthest_mm[-1])
     first = known.windows(begin, end, radius_mm, CUT_MM, points_max)
     used = sum(len(frames) for _, _, frames, _ in first) / sum(len(frames) + more for _, _, frames, more in first)
@@ -86,11 +86,11 @@ def plan(reaches: Sequence[Reach | None], radius_mm: float, points_max: int = PO
     )
     cuts = first if whole <= CUT_MM else known.windows(begin, end, radius_mm, whole, points_max)
     windows = tuple(Window(a, b, tuple(int(i) for i in at[frames]), more) for a, b, frames, more in cuts)
-    return Plan(windows, step, float(whole))
+    return WindowPlan(windows, step, float(whole))
 
 
 @dataclass(frozen=True, slots=True)
-class _Frames:
+class _SortedFrames:
     """Frames with points, sorted by where those begin."""
 
     own_points: IntArray  # as they came
@@ -101,7 +101,7 @@ class _Frames:
     farthest_mm: FloatArray  # running maximum: as far as this frame or one before it reaches
 
     @classmethod
-    def of(cls, reaches: Sequence[Reach]) -> "_Frames":
+    def of(cls, reaches: Sequence[Reach]) -> "_SortedFrames":
         low, high = np.array([one.low_mm for one in reaches]), np.array([one.high_mm for one in reaches])
         points = np.array([one.points for one in reaches], np.int64)
         order = np.argsort(low, kind="stable")
@@ -197,7 +197,7 @@ def _rows(wall: Wall, first_mm: float, last_mm: float) -> tuple[int, int]:
 def _part(wall: Wall, a: int, b: int) -> Wall:
     seen, columns = wall.observations, len(wall.clock_deg)
     inside = (seen.cell >= a * columns) & (seen.cell < b * columns)
-    observations = Observations(**{one.name: getattr(seen, one.name)[inside] for one in fields(seen)})
+    observations = WallObservations(**{one.name: getattr(seen, one.name)[inside] for one in fields(seen)})
     whole = ("clock_deg", "observations", "scale_part", "oval_part")
     along = {one.name: getattr(wall, one.name)[a:b] for one in fields(wall) if one.name not in whole}
     return replace(wall, **along, observations=replace(observations, cell=observations.cell - a * columns))

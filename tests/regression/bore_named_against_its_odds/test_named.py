@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from annulus_pipe.wings.crossbore.ground import Bore, Ground, log
-from annulus_pipe.wings.crossbore.measure import BORES, Grid, Kind, detect, on_grid
+from annulus_pipe.wings.crossbore.measure import BORES, BoreKind, PipeGrid, detect, on_grid
 from annulus_pipe.wings.crossbore.measure.odds import COUNTED, FATES, MIDDLE, odds
 
 PLAIN = Ground(6000.0, uneven=0.06)
 
 
-def weaker(grid: Grid, by: float) -> Grid:
+def weaker(grid: PipeGrid, by: float) -> PipeGrid:
     """The same log where everything but the soil itself takes off so much less, as by a head that sees less deep."""
     soil = np.median(grid.c_ff, axis=0)
     return replace(grid, c_ff=soil + by * (grid.c_ff - soil))
@@ -34,8 +34,8 @@ def test_a_dip_on_one_side_of_any_strength_is_called_what_its_odds_say(phi: floa
     grid = on_grid(log(replace(PLAIN, bores=(Bore(3000.0, 101.0, 101.0, phi),)), 3).rows())
     (one,) = detect(weaker(grid, by)).bores
     assert max(FATES, key=one.odds.__getitem__) == str(one.kind)
-    assert one.kind is (Kind.PART if one.part < MIDDLE else Kind.AIR)
-    assert math.isnan(one.phi_deg) == (one.kind is Kind.PART)
+    assert one.kind is (BoreKind.PART if one.part < MIDDLE else BoreKind.AIR)
+    assert math.isnan(one.phi_deg) == (one.kind is BoreKind.PART)
 
 
 @pytest.mark.parametrize("kind", sorted(COUNTED))

@@ -9,25 +9,25 @@ import pytest
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.ground import Bore, Ground, log, some_ground
-from annulus_pipe.wings.crossbore.measure import Account, Log, Passage, Why, detect, on_grid
+from annulus_pipe.wings.crossbore.measure import BoreDetections, Log, NoReadingReason, Passage, detect, on_grid
 
 SEWER = Bore(2000.0, 101.0)
 GROUND = Ground(6000.0, soils=(6.0,), bores=(SEWER,))
 Fault = Callable[[FloatArray, np.random.Generator], FloatArray]  # of readings in pF, one after the other
 
-FAULTS: dict[str, tuple[Fault, Why]] = {
-    "loose by 0.05 pF": (lambda c, rng: c + rng.normal(0, 0.05, len(c)), Why.LOOSE),
-    "nothing": (lambda c, rng: 0 * c, Why.RANGE),
-    "full scale": (lambda c, rng: 0 * c + 999.9, Why.RANGE),
-    "frozen": (lambda c, rng: 0 * c + c[0], Why.STUCK),
-    "frozen low": (lambda c, rng: 0 * c + 4.62, Why.STUCK),
-    "a line drawn over a hole": (lambda c, rng: np.linspace(c[0], c[-1], len(c)), Why.STUCK),
-    "loose by 1 pF": (lambda c, rng: c + rng.normal(0, 1.0, len(c)), Why.RANGE),
-    "loose by 0.01 pF": (lambda c, rng: c + rng.normal(0, 0.01, len(c)), Why.LOOSE),
-    "every other one": (lambda c, rng: np.where(np.arange(len(c)) % 2, c, c - 0.2), Why.LOOSE),
-    "a contact of 0.05 pF": (lambda c, rng: c - 0.05, Why.JUMP),
-    "a contact of 1 pF": (lambda c, rng: c + 1.0, Why.JUMP),
-    "no number": (lambda c, rng: c * np.nan, Why.NONE),
+FAULTS: dict[str, tuple[Fault, NoReadingReason]] = {
+    "loose by 0.05 pF": (lambda c, rng: c + rng.normal(0, 0.05, len(c)), NoReadingReason.LOOSE),
+    "nothing": (lambda c, rng: 0 * c, NoReadingReason.RANGE),
+    "full scale": (lambda c, rng: 0 * c + 999.9, NoReadingReason.RANGE),
+    "frozen": (lambda c, rng: 0 * c + c[0], NoReadingReason.STUCK),
+    "frozen low": (lambda c, rng: 0 * c + 4.62, NoReadingReason.STUCK),
+    "a line drawn over a hole": (lambda c, rng: np.linspace(c[0], c[-1], len(c)), NoReadingReason.STUCK),
+    "loose by 1 pF": (lambda c, rng: c + rng.normal(0, 1.0, len(c)), NoReadingReason.RANGE),
+    "loose by 0.01 pF": (lambda c, rng: c + rng.normal(0, 0.01, len(c)), NoReadingReason.LOOSE),
+    "every other one": (lambda c, rng: np.where(np.arange(len(c)) % 2, c, c - 0.2), NoReadingReason.LOOSE),
+    "a contact of 0.05 pF": (lambda c, rng: c - 0.05, NoReadingReason.JUMP),
+    "a contact of 1 pF": (lambda c, rng: c + 1.0, NoReadingReason.JUMP),
+    "no number": (lambda c, rng: c * np.nan, NoReadingReason.NONE),
 }
 
 
@@ -38,7 +38,7 @@ def spoiled(rows: Log, fault: Fault, from_mm: float, to_mm: float, sectors: tupl
     return replace(rows, c_pf=c)
 
 
-def judged(rows: Log) -> Account:
+def judged(rows: Log) -> BoreDetections:
     return detect(on_grid(rows))
 
 
@@ -63,8 +63,13 @@ def test_four_faults_one_after_the_other_are_four_stretches_and_no_bore() -> Non
     for k, name in enumerate(("loose by 0.05 pF", "nothing", "frozen low", "a contact of 0.05 pF")):
         rows = spoiled(rows, FAULTS[name][0], 1500.0 + 1800 * k, 1700.0 + 1800 * k, (k % 3,))
     account = judged(rows)
-    assert not account.bores and {gap.why for gap in account.gaps} == {Why.LOOSE, Why.RANGE, Why.STUCK, Why.JUMP}
-    assert "sector 2 from 3.2" in str(next(gap for gap in account.gaps if gap.why is Why.RANGE))
+    assert not account.bores and {gap.why for gap in account.gaps} == {
+        NoReadingReason.LOOSE,
+        NoReadingReason.RANGE,
+        NoReadingReason.STUCK,
+        NoReadingReason.JUMP,
+    }
+    assert "sector 2 from 3.2" in str(next(gap for gap in account.gaps if gap.why is NoReadingReason.RANGE))
 
 
 def test_a_reference_that_fails_is_said_and_hides_nothing() -> None:
@@ -99,12 +104,12 @@ def test_a_fault_on_the_way_from_sensors_is_said_as_one_in_a_log_is() -> None:
         passage.read(t, (*c, reference))
     (run,) = passage.runs()
     (gap,) = judged(run.log).gaps
-    assert gap.sectors == (3,) and gap.why is Why.RANGE
+    assert gap.sectors == (3,) and gap.why is NoReadingReason.RANGE
 
 
 def failed(rows: Log) -> BoolArray:
     grid = on_grid(rows)
-    return np.array([gap.why is not Why.NONE for gap in grid.gaps], bool)
+    return np.array([gap.why is not NoReadingReason.NONE for gap in grid.gaps], bool)
 
 
 @pytest.mark.deep(but=1)

@@ -7,7 +7,7 @@ import pytest
 
 from annulus_pipe.untrusted import parse_toml
 from annulus_pipe.wall.conformity import Criteria, Decision, _of_feature
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 
 LIMITS = "[[gap]]\nseverity = 3\ngap_mm = 10.0\n[[joint]]\nseverity = 3\nhilo_mm = 1.5\nbead_height_mm = 2.0\n"
 
@@ -22,7 +22,7 @@ class Case:
     "case", [Case(3.0, Decision.FAILS), Case(1.45, Decision.UNDECIDED), Case(1.0, Decision.CONFORMS)]
 )
 def test_a_coupling_is_held_against_the_limits_of_joints(case: Case) -> None:
-    measures = Measure("gap_mm", 8.0, 1.0), Measure("hilo_mm", case.hilo_mm, 0.1)
+    measures = FeatureMeasure("gap_mm", 8.0, 1.0), FeatureMeasure("hilo_mm", case.hilo_mm, 0.1)
     coupling = Feature(FeatureKind.GAP, 180.0, 8.0, measures=measures, remark="coupling")
     found = {
         (one.kind, one.quantity): one

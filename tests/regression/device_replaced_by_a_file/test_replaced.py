@@ -11,7 +11,7 @@ import pytest
 from annulus_pipe.export.forms import _in_place
 from annulus_pipe.report.results import staged
 from annulus_pipe.storage.calibration_file import save_part
-from annulus_pipe.storage.place import Place, writer
+from annulus_pipe.storage.place import StoragePath, writer
 from annulus_pipe.storage.whole import written_whole
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, save_acoustic
@@ -65,7 +65,7 @@ def into_exports(path: Path) -> None:
 WRITES = {
     "plain": plain,
     "writer": by_writer,
-    "place": lambda path: Place(path.parent).write(path.name, b"new"),
+    "place": lambda path: StoragePath(path.parent).write(path.name, b"new"),
     "part": lambda path: save_part(path, {"new": 1}),
     "sound": sound,
     "results": into_results,

@@ -7,7 +7,7 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION, RADIUS_MM
 
-from annulus_pipe.wall.adjustment import BIAS, CURVATURE, PIECE, RADIUS, START, State, adjust, sightings
+from annulus_pipe.wall.adjustment import BIAS, CURVATURE, PIECE, RADIUS, START, AdjustmentState, adjust, sightings
 from annulus_pipe.wall.axis import COARSE, Begins, _free, _pruned, _seen_round
 from annulus_pipe.wall.centreline import Centreline, Piece
 
@@ -27,7 +27,7 @@ def test_a_bend_ends_where_it_ends(diameters: float, degrees: float, start: floa
     assert seen is not None
     rows = np.zeros((3, PIECE))
     rows[:, START], rows[0, RADIUS], rows[1, CURVATURE] = (-76.0, start, end), RADIUS_MM, bend.curvature
-    state = State(rows, np.zeros((seen.rings, BIAS)), seen.heads)
+    state = AdjustmentState(rows, np.zeros((seen.rings, BIAS)), seen.heads)
     found = adjust(seen, state, _free(BEGINS), scales_mm=(5.0, 2.0, 0.5))
     assert not _seen_round(seen, found, np.array([end]))[0]
     kept, begins = _pruned(seen, found, list(BEGINS))

@@ -6,7 +6,7 @@ import pytest
 from even_wall import RADIUS_MM, even_wall
 
 from annulus_pipe.wall.joints import _gap
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.points import WallPoints
 
 AT_MM, HALF_SLIT_MM, DEEP_MM = 172.0, 2.0, 6.0
 
@@ -19,7 +19,7 @@ def measured(gap: float, every_mm: float, noise_mm: float, seed: int) -> tuple[f
     stands = np.where(np.abs(z - AT_MM) < gap / 2 + HALF_SLIT_MM, -DEEP_MM, rng.normal(0, noise_mm, len(z)))
     same = np.ones(len(z))
     sector = (clock // 10).astype(np.intp)
-    points = Points(
+    points = WallPoints(
         z,
         sector,
         stands,

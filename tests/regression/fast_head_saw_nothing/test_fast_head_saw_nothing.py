@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.wings.crossbore.ground import Bore, Ground, log
-from annulus_pipe.wings.crossbore.measure import Kind, Log, detect, on_grid
+from annulus_pipe.wings.crossbore.measure import BoreKind, Log, detect, on_grid
 
 EVERY = 4  # rows of 40 a second at 150 mm a second: one each 15 mm
 
@@ -25,7 +25,7 @@ def test_each_sector_is_seen_by_its_own_readings(seed: int) -> None:
     )
     grid = on_grid(few)
     assert np.mean(grid.seen) > 0.97
-    assert [one.kind for one in detect(grid).bores] == [Kind.AIR]
+    assert [one.kind for one in detect(grid).bores] == [BoreKind.AIR]
 
 
 def test_a_sector_without_readings_is_unseen_all_the_same() -> None:

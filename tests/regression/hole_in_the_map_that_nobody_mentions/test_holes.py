@@ -7,7 +7,7 @@ import pytest
 from over_limit import RODS_DEG, scanned
 from synthetic_pipe import CALIBRATION, RadiusMap, pocket, round_pipe
 
-from annulus_pipe.report import Account
+from annulus_pipe.report import ScanAccount
 from annulus_pipe.report.page import _verdict
 from annulus_pipe.report.summary import summarize
 from annulus_pipe.wall import survey
@@ -53,7 +53,7 @@ def test_a_hole_is_told_of_with_why(clock: tuple[float, float], z_mm: tuple[floa
     assert reason in hole.reason and abs(hole.clock_deg - clock[0]) < 2 and abs(hole.arc_deg - 2 * clock[1]) < 4
     assert abs(hole.z_from_mm - max(z_mm[0], pipe.scanned_mm[0])) < 3
     assert abs(hole.z_to_mm - min(z_mm[1], pipe.scanned_mm[1])) < 3
-    reported = summarize(pipe, Account("x", {}, {}, {}, ()), 0.0)["not_seen"]
+    reported = summarize(pipe, ScanAccount("x", {}, {}, {}, ()), 0.0)["not_seen"]
     assert [one["reason"] for one in reported if not one["usual"]] == [hole.reason]
     assert "1 place of the wall was not seen" in _verdict(pipe)
 

@@ -11,7 +11,7 @@ import pytest
 
 from annulus_pipe.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
 from annulus_pipe.wall.joints import Joint, _Form, _form, taken
-from annulus_pipe.wall.points import SECTORS, Points
+from annulus_pipe.wall.points import SECTORS, WallPoints
 from annulus_pipe.wall.unjudged import nameless
 
 BEFORE_MM, AFTER_MM = 50.0, 50.8  # radii of the two pipes
@@ -22,14 +22,14 @@ WALL: Any = SimpleNamespace(
 )
 
 
-def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Points:
+def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> WallPoints:
     """In each sector so many at that radius, and so many on the wall."""
     radius = np.tile(np.repeat([radius_mm, AFTER_MM], [off, sound]), SECTORS)
     sector = np.repeat(np.arange(SECTORS), off + sound)
     radius = np.where(sector < sectors, radius, AFTER_MM)
     count = len(sector)
     none = np.zeros(count)
-    return Points(
+    return WallPoints(
         np.full(count, 154.0),
         sector,
         BEFORE_MM - radius,
@@ -52,7 +52,7 @@ def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Po
         (points(50.8, 0, 12), _Form.UNSEEN),
     ],
 )
-def test_a_joint_is_what_its_points_say_that_lie_on_neither_wall(there: Points, form: _Form) -> None:
+def test_a_joint_is_what_its_points_say_that_lie_on_neither_wall(there: WallPoints, form: _Form) -> None:
     assert _form(WALL, there, (153.0, 155.0), 0.3) is form
 
 

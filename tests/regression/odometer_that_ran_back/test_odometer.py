@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.reprocess.places import doubled_findings, running_back_findings
-from annulus_pipe.rings.diagnosis import Exposure, diagnose
+from annulus_pipe.rings.diagnosis import FrameLighting, diagnose
 from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.vocabulary import Label
 
@@ -44,7 +44,7 @@ def test_a_rest_and_a_segment_that_begins_anew_are_none() -> None:
     assert running_back_findings(frames([])) == running_back_findings(frames([np.nan, np.nan])) == []
 
 
-def light(seed: int) -> Exposure:
+def light(seed: int) -> FrameLighting:
     return diagnose(np.random.default_rng(seed).integers(0, 255, (96, 128, 3), np.uint8))
 
 

@@ -10,7 +10,7 @@ from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_S
 from annulus_pipe.link.head import HeadControl
 from annulus_pipe.link.messages import Arm, ArmFlag, Stage
 from annulus_pipe.link.phase import Phase
-from annulus_pipe.link.session import Answer, Session, identify
+from annulus_pipe.link.session import Answer, LinkSession, identify
 from annulus_pipe.twin.native import NativeBoard
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -32,7 +32,7 @@ class Rig:
         self._c = self.board._live()
         self._usb = ctypes.create_string_buffer(4096)
 
-    def run(self, milliseconds: int, other: Session | None = None, *, over_usb: bool = True) -> list[object]:
+    def run(self, milliseconds: int, other: LinkSession | None = None, *, over_usb: bool = True) -> list[object]:
         """What `other` heard. Over the UART it has the line, and the head is not there."""
         heard: list[object] = []
         for _ in range(milliseconds):
@@ -61,7 +61,7 @@ class Rig:
 
     def disarm(self, *, over_usb: bool) -> None:
         """As `annulus head disarm`."""
-        other = Session()
+        other = LinkSession()
         other.send(identify())
         ticket = other.send(Arm(ArmFlag(0)))
         heard = self.run(20, other, over_usb=over_usb)

@@ -8,7 +8,7 @@ from annulus_pipe.link.head import EdgeSeen, HeadControl
 from annulus_pipe.link.messages import Stage
 from annulus_pipe.link.phase import Phase
 from annulus_pipe.link.session import Rebooted
-from annulus_pipe.sensors.odometer import Place
+from annulus_pipe.sensors.odometer import FlashPosition
 from annulus_pipe.twin.native import NativeBoard
 
 MS = 100_000  # ticks
@@ -32,7 +32,7 @@ class Rig:
         self.off_ms = 0  # so long there was no power
         self.pulled = 0  # counts, really
         self.boots: list[Rebooted] = []
-        self.seen: list[tuple[EdgeSeen, Place]] = []
+        self.seen: list[tuple[EdgeSeen, FlashPosition]] = []
         self.falls: list[dict[int, tuple[int, int]]] = [{}]  # by boot: edge -> host ns, counts pulled by then
         self.deaf_until = 0
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.wall import openings
-from annulus_pipe.wall.grid import Observations, Wall
+from annulus_pipe.wall.grid import Wall, WallObservations
 
 R, Z_MM, CLOCK_DEG = 76.2, 155.0, 30.0
 INNER_MM, OUTER_MM, STANDS_MM = 28.0, 38.0, 11.6
@@ -30,7 +30,7 @@ def rimmed() -> Wall:
         np.zeros((len(z), 5, 5)),
         np.full(len(z), 0.05),
         np.full(radius.shape, 0.05, np.float32),
-        Observations(
+        WallObservations(
             none.astype(int),
             none.astype(np.int32),
             none.astype(np.float32),

@@ -19,7 +19,7 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics
 from annulus_pipe.geometry.origin import from_colours
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.geometry.seen_by_both import Moment, Placed, place_second
+from annulus_pipe.geometry.seen_by_both import Moment, PlacedCamera, place_second
 from annulus_pipe.rings.calibration.bundle import Solution
 from annulus_pipe.rings.calibration.observations import Placement
 from annulus_pipe.scans.scan import read_image
@@ -56,7 +56,7 @@ def fitted(seed: int, noise_px: float = 0.05) -> tuple[Intrinsics, Intrinsics]:
     return fits[0], fits[1]
 
 
-def off(placed: Placed) -> np.ndarray:
+def off(placed: PlacedCamera) -> np.ndarray:
     """(6,) turn in rad, centre in mm."""
     return np.concatenate([Rotation.from_matrix(placed.rotation @ TURN.T).as_rotvec(), placed.centre_mm - CENTRE])
 

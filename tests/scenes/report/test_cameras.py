@@ -9,7 +9,7 @@ import pytest
 from synthetic_pipe import CALIBRATION, round_pipe, scan
 
 from annulus_pipe.geometry.calibration import HeadCamera
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.wall import Profile, survey
 
 TWO = replace(CALIBRATION, others=(HeadCamera(4, CALIBRATION.camera),))
@@ -34,7 +34,7 @@ def test_a_survey_of_two_cameras_says_which_of_them_saw_each_place(tmp_path: Pat
         assert (part[part > 0] == expected).all() and (part > 0).mean() > 0.8
     assert (who[:, 333:347] == 0).all()
     assert ((who > 0) == pipe.wall.seen).all()
-    write(pipe, Account("two", {}, {}, {}), tmp_path)
+    write(pipe, ScanAccount("two", {}, {}, {}), tmp_path)
     share = json.loads((tmp_path / "summary.json").read_text())["seen_by_percent"]
     assert share == pytest.approx({"0": 47.0, "4": 27.0, "several": 15.0}, abs=4.0)  # of the wall, its ragged ends, too
     assert sum(share.values()) == pytest.approx(100 * pipe.seen_fraction, abs=0.1)
@@ -51,7 +51,9 @@ def test_a_frame_that_another_camera_took_counts_as_seen_by_more_than_one() -> N
 
 def test_one_camera_needs_no_such_picture(tmp_path: Path) -> None:
     write(
-        survey(scan(round_pipe, z_mm=[3.0 * i for i in range(20)]), CALIBRATION), Account("one", {}, {}, {}), tmp_path
+        survey(scan(round_pipe, z_mm=[3.0 * i for i in range(20)]), CALIBRATION),
+        ScanAccount("one", {}, {}, {}),
+        tmp_path,
     )
     assert "seen_by_percent" not in json.loads((tmp_path / "summary.json").read_text())
     assert "Which camera saw what" not in (tmp_path / "report.html").read_text()

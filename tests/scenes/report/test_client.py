@@ -17,7 +17,7 @@ from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
 from annulus_pipe.job import JobSheet, Observation, Origin
 from annulus_pipe.numeric.rounding import MEASURE, quoted
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.report.cuts import CIRCLE_PX, SWING_PX, across
 from annulus_pipe.report.marks import marks_of
 from annulus_pipe.untrusted import parse_toml
@@ -30,8 +30,8 @@ from annulus_pipe.wall.sections import cut
 LIMITS = b'title = "<b>ours</b>"\n[[loss]]\nseverity = 4\ndepth_mm = 3\n[[bore]]\nseverity = 2\nsmallest_mm = 140\n'
 
 
-def account(**more: Any) -> Account:
-    return Account("a pipe", {"projector": 40}, {}, {"total": 5.0}, **more)
+def account(**more: Any) -> ScanAccount:
+    return ScanAccount("a pipe", {"projector": 40}, {}, {"total": 5.0}, **more)
 
 
 @pytest.fixture(scope="module")

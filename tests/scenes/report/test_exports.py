@@ -13,7 +13,7 @@ from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from annulus_pipe.export import FORMS, open_results
 from annulus_pipe.export import write as export
 from annulus_pipe.export.radii import ANGLES_DEG
-from annulus_pipe.report import Account, results, write
+from annulus_pipe.report import ScanAccount, results, write
 from annulus_pipe.wall import Survey, survey
 
 Made = tuple[Path, Survey]
@@ -24,7 +24,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     out = tmp_path_factory.mktemp("results")
     shape = pocket(bump(round_pipe, 200, 160, 12, 3.0), 90, 12, 130, 160, 4.0)
     pipe = survey(scan(shape, z_mm=[3.0 * i for i in range(26)]), CALIBRATION)
-    write(pipe, Account("a pipe", {"projector": 26}, {}, {}), out)
+    write(pipe, ScanAccount("a pipe", {"projector": 26}, {}, {}), out)
     export(open_results(out), list(FORMS), out / "export")
     return out, pipe
 

@@ -11,25 +11,29 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, pocket, round_pipe, scan
 
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.defects import Defect, Kind
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 
 JOINT = Feature(
     FeatureKind.JOINT,
     120.0,
     8.0,
     remark="butt fusion",
-    measures=(Measure("height_mm", 3.4, 0.193), Measure("hilo_clock_deg", 90.0), Measure("gap_mm", float("nan"))),
+    measures=(
+        FeatureMeasure("height_mm", 3.4, 0.193),
+        FeatureMeasure("hilo_clock_deg", 90.0),
+        FeatureMeasure("gap_mm", float("nan")),
+    ),
 )
-OPENING = Feature(FeatureKind.BRANCH, 150.0, 25.0, 355.0, 20.0, (Measure("inner_d_mm", 25.2, 1.0),))
+OPENING = Feature(FeatureKind.BRANCH, 150.0, 25.0, 355.0, 20.0, (FeatureMeasure("inner_d_mm", 25.2, 1.0),))
 BEYOND = Feature(FeatureKind.WATER, 900.0, 50.0, 180.0, 60.0)  # where nothing was scanned
 PLACE = Defect(Kind.LOSS, 140.0, 60.0, 12.0, 20.0, 1.5, 200.0, False, 2.4)
 
 
 def written(pipe: Survey, out: Path) -> tuple[dict[str, object], str]:
-    summary = write(pipe, Account("a pipe", {"projector": 20}, {}, {}), out)
+    summary = write(pipe, ScanAccount("a pipe", {"projector": 20}, {}, {}), out)
     assert summary == json.loads((out / "summary.json").read_text())
     return summary, (out / "report.html").read_text()
 

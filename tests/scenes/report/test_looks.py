@@ -19,13 +19,13 @@ import pytest
 from browser import chromium, faults, opened
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus_pipe.report import Account, Paper, write
+from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.report.pdf import to_pdf
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall import LedFrame, survey
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 from annulus_pipe.wings.joints.page import write_joint_page
@@ -34,8 +34,8 @@ PAGES = ("damaged", "sound", "plate", "joint")
 WIDTHS = (1400, 1024, 390)
 MOST = [("damaged", 10), ("sound", 7), ("plate", 3), ("joint", 3)]  # pages on paper
 PAPERS = {"A4": (595.3, 841.9), "Letter": (612.0, 792.0)}  # points
-JOINT = Feature(FeatureKind.JOINT, 90.0, 8.0, remark="butt fusion", measures=(Measure("height_mm", 3.4, 0.193),))
-OPENING = Feature(FeatureKind.BRANCH, 60.0, 25.0, 355.0, 20.0, (Measure("inner_d_mm", 25.2, 1.0),))
+JOINT = Feature(FeatureKind.JOINT, 90.0, 8.0, remark="butt fusion", measures=(FeatureMeasure("height_mm", 3.4, 0.193),))
+OPENING = Feature(FeatureKind.BRANCH, 60.0, 25.0, 355.0, 20.0, (FeatureMeasure("inner_d_mm", 25.2, 1.0),))
 PLACE = Defect(Kind.LOSS, 30.0, 60.0, 12.0, 20.0, 1.5, 200.0, False, 2.4)
 LIMITS = """
 title = "What the client named"
@@ -61,7 +61,7 @@ def write_pipes(out: Path) -> None:
     assert len(pipe.defects) == 2
     pipe = replace(pipe, features=(JOINT, OPENING), detection=replace(pipe.detection, undecided=(PLACE,)))
     findings = (Finding("dark", "one frame is dark: it says nothing", (7,)),)
-    account = Account(
+    account = ScanAccount(
         LONG,
         {"projector": 36, "led": 1, "unknown": 2},
         {"camera": 3, "frames_unknown": 2},
@@ -72,7 +72,7 @@ def write_pipes(out: Path) -> None:
     write(pipe, account, out / "damaged")
     plain = survey(scan(round_pipe, z_mm=[4.0 * i for i in range(20)]), CALIBRATION)
     assert not plain.defects
-    write(plain, Account("a sound pipe", {"projector": 20}, {}, {}), out / "sound")
+    write(plain, ScanAccount("a sound pipe", {"projector": 20}, {}, {}), out / "sound")
 
 
 def write_flat(out: Path) -> None:
@@ -96,7 +96,7 @@ def write_flat(out: Path) -> None:
         (),
         {},
     )
-    write_plate(plate, Account("a plate", {"projector": 4}, {}, {}), out / "plate")
+    write_plate(plate, ScanAccount("a plate", {"projector": 4}, {}, {}), out / "plate")
 
 
 def write_joint(folder: Path) -> None:

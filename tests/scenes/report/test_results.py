@@ -12,7 +12,7 @@ import pytest
 from plyfile import PlyData
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus_pipe.report import FILES, Account, prepare_folder, results, write
+from annulus_pipe.report import FILES, ScanAccount, prepare_folder, results, write
 from annulus_pipe.vocabulary import AnnulusError, Finding
 from annulus_pipe.wall import LedFrame, Profile, Survey, survey
 
@@ -22,8 +22,8 @@ COUNTS = {"projector": 40, "led": 2, "unknown": 1}
 FINDING = Finding("dark", "one frame is dark", (7,))
 
 
-def account(**more: Any) -> Account:
-    return Account("a <b>pipe</b>", COUNTS, {"camera": 3}, {"total": 5.0}, **more)
+def account(**more: Any) -> ScanAccount:
+    return ScanAccount("a <b>pipe</b>", COUNTS, {"camera": 3}, {"total": 5.0}, **more)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from annulus_pipe.reprocess.job import Measured
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall import Profile
 
@@ -28,7 +28,7 @@ FRAMES = 24
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    pocket = Feature("pocket", z_mm=120.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
+    pocket = WorldFeature("pocket", z_mm=120.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
     return replace(clean_world(travel_mm=60.0).scaled(832), features=(pocket,), roll_deg=10.0)
 
 

@@ -11,7 +11,7 @@ from line_heads import ONE_RING, head, picture
 from annulus_pipe.reprocess import survey_of
 from annulus_pipe.scans.video import Chainage, import_video
 from annulus_pipe.storage.calibration_file import save_calibration
-from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.features import WorldFeature
 from annulus_pipe.wall.defects import Kind
 
 pytestmark = pytest.mark.deep(gate="tests/unit/scans/test_video.py::test_a_video_becomes_a_scan_of_the_same_pictures")
@@ -21,7 +21,7 @@ FRAMES, STEP_MM, OVAL_MM = 16, 4.0, 3.05
 
 @pytest.mark.parametrize("guess", [1.03, 0.97])
 def test_a_dented_pipe_is_measured_from_a_video(guess: float, tmp_path: Path) -> None:
-    dent = Feature("oval", z_mm=106.0, length_mm=900.0, depth_mm=OVAL_MM, clock_deg=40.0)
+    dent = WorldFeature("oval", z_mm=106.0, length_mm=900.0, depth_mm=OVAL_MM, clock_deg=40.0)
     world = head(*ONE_RING, features=(dent,), rods=False)
     size = world.camera.width, world.camera.height
     x, y = np.meshgrid(np.arange(size[0]) - world.camera.cx, np.arange(size[1]) - world.camera.cy)

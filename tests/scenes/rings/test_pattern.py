@@ -8,12 +8,12 @@ from drawn import draw
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.rings.pattern import Head, de_bruijn, design, preview, stripe_colours
+from annulus_pipe.rings.pattern import PatternHead, de_bruijn, design, preview, stripe_colours
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.vocabulary import AnnulusError
 
 CAMERA = Camera("pinhole", 832, 616, 235.0, 235.0, 415.5, 307.5)
-HEAD = Head(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)
+HEAD = PatternHead(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)
 
 
 @pytest.mark.parametrize(("letters", "word"), [("RGB", 2), ("RGB", 3), ("RG", 2), ("GB", 5)])

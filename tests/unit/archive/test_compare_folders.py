@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe.archive.comparison import Comparison, compare, compare_maps
-from annulus_pipe.archive.growth import Verdict
+from annulus_pipe.archive.growth import GrowthVerdict
 from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.archive.pairs import Pair, Scene, draw
@@ -76,9 +76,9 @@ def test_every_listed_defect_comes_out_once_with_its_growth(tmp_path: Path) -> N
         if one.growth_mm:
             assert change.growth_mm == pytest.approx(one.growth_mm, abs=0.15)
         else:
-            assert change.verdict is Verdict.SAME
+            assert change.verdict is GrowthVerdict.SAME
     oval = next(one for one in found.growth.changes if one.arc_deg == 360)
-    assert oval.first and oval.second and oval.verdict is Verdict.GROWN
+    assert oval.first and oval.second and oval.verdict is GrowthVerdict.GROWN
 
 
 @pytest.mark.deep(gate="tests/unit/archive/test_compare_folders.py::test_a_summary_that_is_none_is_one_line")
@@ -117,7 +117,7 @@ def test_what_one_year_lists_beyond_the_others_ends_was_not_seen(tmp_path: Path)
     found = compare(first, second)
     name = f"D{len(summary['defects'])}"
     (beyond,) = [one for one in found.growth.changes if name in one.second.split()]
-    assert beyond.verdict is Verdict.UNSEEN and not beyond.first
+    assert beyond.verdict is GrowthVerdict.UNSEEN and not beyond.first
     told = json.dumps(found.to_dict(), allow_nan=False)
     assert '"listed_second": ["' + name in told
 

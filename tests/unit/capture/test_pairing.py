@@ -9,7 +9,7 @@ from annulus_pipe.capture.history import EdgeHistory
 from annulus_pipe.capture.offset import calibrate_offset
 from annulus_pipe.capture.pairing import Pairing
 from annulus_pipe.capture.photometry import Light, Photometry
-from annulus_pipe.capture.proof import Reason, State, Witness
+from annulus_pipe.capture.proof import ProofState, Reason, Witness
 from annulus_pipe.capture.seen import FrameSeen
 from annulus_pipe.vocabulary import AnnulusError, CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
@@ -164,7 +164,7 @@ def test_the_drivers_count_must_agree_with_the_controllers() -> None:
     assert all(frame(pairing, number).reason is Reason.AGREED for number in range(1, 10))
     assert frame(pairing, 10, sequence=11).reason is Reason.SEQUENCE  # a frame is missing that has no edge
     assert frame(pairing, 11, sequence=12).label is Label.UNKNOWN, "what is wrong once is not the truth from then on"
-    assert pairing.state is State.DOUBTED
+    assert pairing.state is ProofState.DOUBTED
 
 
 def test_a_count_that_was_wrong_once_is_forgiven_when_all_agree_again() -> None:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.capture.photometry import Light, measure
 from annulus_pipe.capture.proof import Witness
-from annulus_pipe.capture.witnesses import UNLIT_MIN, Pictures
+from annulus_pipe.capture.witnesses import UNLIT_MIN, RecentPictures
 
 H, W = 308, 416
 WALLS = {"white": (1.0, 1.0, 1.0), "yellow": (0.15, 0.8, 1.0), "brown": (0.45, 0.6, 0.75)}  # blue, green, red
@@ -89,7 +89,7 @@ def test_a_picture_of_two_exposures_is_torn_wherever_the_tear_is(wall: str, raw:
 
 @pytest.mark.parametrize("raw", [False, True])
 def test_a_mask_before_the_lens_is_no_tear_once_it_is_known(raw: bool) -> None:
-    pictures, masked = Pictures(), []
+    pictures, masked = RecentPictures(), []
     for seed in range(12):
         image = picture("white", 0.0, 1.0, seed=seed)
         image[: H // 10] = image[-H // 15 :] = 0
@@ -111,18 +111,18 @@ def test_only_the_same_picture_has_the_same_fingerprint(raw: bool) -> None:
 @pytest.mark.parametrize("raw", [False, True])
 @pytest.mark.parametrize("share", [0.02, 0.2])
 def test_a_tear_between_two_pictures_of_one_lamp_leaves_a_row_that_was_shown_before(raw: bool, share: float) -> None:
-    pictures = Pictures()
+    pictures = RecentPictures()
     before, after = (picture("white", 1.0, 0.0, seed=seed) for seed in (1, 2))
     assert pictures.met(measure(mosaic(before) if raw else before)) is None
     for above in (round(share * H), H - round(share * H)):
         for upper, lower in ((before, after), (after, before)):
             image = np.vstack([upper[:above], lower[above:]])
             assert pictures.met(measure(mosaic(image) if raw else image)) is Witness.TORN
-    assert Pictures().met(measure(mosaic(after) if raw else after)) is None
+    assert RecentPictures().met(measure(mosaic(after) if raw else after)) is None
 
 
 def test_a_dark_strip_that_was_shown_is_a_tear_and_darkness_shown_twice_is_not() -> None:
-    pictures = Pictures()
+    pictures = RecentPictures()
     dark, bright = picture("white", 0.0, 0.0, seed=1), picture("white", 1.0, 0.0, seed=2)
     assert pictures.met(measure(dark)) is None and pictures.met(measure(dark)) is None
     assert pictures.met(measure(np.vstack([bright[: H // 2], dark[H // 2 :]]))) is Witness.TORN

@@ -12,7 +12,7 @@ import libcamera_stub
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, Camera, grab
+from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, CameraDriver, grab
 from annulus_pipe.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, plug, require_controls
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -84,7 +84,7 @@ def test_the_raw_stream_comes_without_padding_with_the_sensors_count_and_nothing
     sensor: libcamera_stub.Sensor, theirs: Any
 ) -> None:
     camera = configured(theirs)
-    assert isinstance(camera, Camera) and camera.encoding == BAYER_RGGB8
+    assert isinstance(camera, CameraDriver) and camera.encoding == BAYER_RGGB8
     raw = theirs.camera_configuration()["raw"]
     assert raw["format"] == "SRGGB10" and raw["stride"] > 2 * SIZE[0]
     assert theirs.camera_configuration()["sensor"] == {"bit_depth": 10, "output_size": SIZE}

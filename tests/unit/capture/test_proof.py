@@ -3,28 +3,32 @@
 import pytest
 
 from annulus_pipe.capture.pairing import Pairing
-from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, TRANSITIONS, News, Reason, State, next_state
+from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, TRANSITIONS, News, ProofState, Reason, next_state
 
 
 @pytest.mark.parametrize("news", sorted(CONTRADICTIONS | SUSPICIONS))
-@pytest.mark.parametrize("state", State)
-def test_after_a_contradiction_no_label_is_given(state: State, news: News) -> None:
-    assert next_state(state, news) is not State.PROVED
-    assert state is State.SEARCHING or (state, news) in TRANSITIONS
+@pytest.mark.parametrize("state", ProofState)
+def test_after_a_contradiction_no_label_is_given(state: ProofState, news: News) -> None:
+    assert next_state(state, news) is not ProofState.PROVED
+    assert state is ProofState.SEARCHING or (state, news) in TRANSITIONS
     assert news.value in {reason.value for reason in Reason}
 
 
 def test_only_a_search_or_a_run_of_frames_proves() -> None:
-    leading = {news for (state, news), to in TRANSITIONS.items() if to is State.PROVED and state is not State.PROVED}
+    leading = {
+        news for (state, news), to in TRANSITIONS.items() if to is ProofState.PROVED and state is not ProofState.PROVED
+    }
     assert leading == {News.FOUND, News.AGREED}
-    assert next_state(State.SEARCHING, News.AGREED) is State.SEARCHING, "frames cannot agree on an offset nobody has"
+    assert next_state(ProofState.SEARCHING, News.AGREED) is ProofState.SEARCHING, (
+        "frames cannot agree on an offset nobody has"
+    )
 
 
 def test_every_state_can_be_left_and_every_change_is_told() -> None:
-    assert {state for state, _ in TRANSITIONS} == set(State)
+    assert {state for state, _ in TRANSITIONS} == set(ProofState)
     told: list[str] = []
     pairing = Pairing(40_000_000, tell=told.append)
     pairing.recalibrate(40_000_000, 0, proved=False)
     pairing.recalibrate(40_000_000, 0)
-    assert pairing.state is State.PROVED and len(told) == 2
+    assert pairing.state is ProofState.PROVED and len(told) == 2
     assert told[0].startswith("labels were searching, now tentative")

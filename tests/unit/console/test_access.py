@@ -12,11 +12,11 @@ from annulus_pipe.console.access import (
     CONFIRM_S,
     IDLE_S,
     SESSIONS_MAX,
+    BrowserSession,
     Bucket,
     Password,
-    Places,
     Rates,
-    Session,
+    RequestOrigins,
     Sessions,
     client_keys,
     is_loopback,
@@ -63,7 +63,7 @@ def test_a_password_cannot_be_kept_where_nothing_can(tmp_path: Path) -> None:
 
 
 def test_a_confirmation_stands_once_and_for_ten_seconds() -> None:
-    session = Session(True, 0.0)
+    session = BrowserSession(True, 0.0)
     word = session.arm(100.0)
     assert session.confirm(word, 100.0 + CONFIRM_S) and not session.confirm(word, 100.0)
     late = session.arm(100.0)
@@ -71,7 +71,7 @@ def test_a_confirmation_stands_once_and_for_ten_seconds() -> None:
     assert not any(session.confirm(one, 100.0) for one in (None, "", 5, ["x"], word))
     words = [session.arm(200.0) for _ in range(1000)]
     assert len(session.confirms) <= 8 and session.confirm(words[-1], 200.0)
-    assert not Session(True, 0.0).confirm(words[-2], 200.0)  # another's
+    assert not BrowserSession(True, 0.0).confirm(words[-2], 200.0)  # another's
 
 
 def test_sessions_are_bounded_and_who_is_connected_stays() -> None:
@@ -100,7 +100,7 @@ def test_when_all_sessions_are_connected_no_more_begin() -> None:
 
 
 def test_what_a_session_has_is_its_own() -> None:
-    one, other = Session(True, 0.0), Session(True, 0.0)
+    one, other = BrowserSession(True, 0.0), BrowserSession(True, 0.0)
     secrets = {one.id, one.cookie, one.token, other.id, other.cookie, other.token}
     assert len(secrets) == 6 and len(one.cookie) >= 43 and len(one.id) <= 40
     assert one.is_token(one.token) and not one.is_token(other.token) and not one.is_token("")
@@ -123,14 +123,14 @@ NONE = [
 
 
 def test_on_loopback_only_loopbacks_names_are_ours() -> None:
-    places = Places("127.0.0.1", tls=False)
+    places = RequestOrigins("127.0.0.1", tls=False)
     assert all(places.is_ours(host) for host in LOOPBACK)
     assert not any(places.is_ours(host) for host in ELSEWHERE + NONE)
 
 
 def test_from_outside_this_machines_names_and_plain_addresses_are_ours() -> None:
     """A name that somebody else can have resolved to us is not: that is how DNS rebinding begins."""
-    places = Places("0.0.0.0", tls=True, names=["head.example"])
+    places = RequestOrigins("0.0.0.0", tls=True, names=["head.example"])
     assert all(
         places.is_ours(host) for host in ["head.example:8600", "HEAD.example", "10.0.0.5:8600", "[fe80::1]:8600"]
     )
@@ -138,7 +138,7 @@ def test_from_outside_this_machines_names_and_plain_addresses_are_ours() -> None
 
 
 def test_an_origin_is_this_pages_own() -> None:
-    places = Places("127.0.0.1", tls=False)
+    places = RequestOrigins("127.0.0.1", tls=False)
     assert places.is_same("http://localhost:8600", "localhost:8600")
     for origin in (
         "null",

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe.capture.camera import Camera, CapturedFrame, grab
+from annulus_pipe.capture.camera import CameraDriver, CapturedFrame, grab
 from annulus_pipe.cli import main
 from annulus_pipe.controller import PIN_INTERLOCK_ANTIVALENT
 from annulus_pipe.daemon import check, disk, priority
@@ -119,7 +119,7 @@ def test_a_camera_that_waits_for_ever_is_not_waited_for(head: Path, monkeypatch:
 def test_a_camera_of_few_frames_a_second_is_waited_for(head: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     waits = iter(range(3))
 
-    def slow(camera: Camera) -> CapturedFrame:
+    def slow(camera: CameraDriver) -> CapturedFrame:
         if next(waits, None) is not None:
             raise TimeoutError  # as a driver does whose one wait is shorter than the camera's period
         return grab(camera)

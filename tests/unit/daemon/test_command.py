@@ -2,14 +2,14 @@
 
 import pytest
 
-from annulus_pipe.daemon.command import COMMAND_S, Command, Operator
+from annulus_pipe.daemon.command import COMMAND_S, CommandLease, Operator
 from annulus_pipe.vocabulary import AnnulusError
 
 ANNA, BEN = Operator("a", "Anna"), Operator("b", "Ben")
 
 
 def test_whoever_commands_is_named_to_the_others() -> None:
-    command = Command()
+    command = CommandLease()
     command.require(None, 0.0)  # nobody commands: everybody may
     assert command.ask(ANNA, 0.0, take=False) == "Anna commands"
     for other in (BEN, None):
@@ -22,7 +22,7 @@ def test_whoever_commands_is_named_to_the_others() -> None:
 
 
 def test_it_ends_by_itself_and_lasts_while_it_is_renewed() -> None:
-    command = Command()
+    command = CommandLease()
     command.ask(ANNA, 0.0, take=False)
     for at in range(1, 100):
         assert command.ask(ANNA, float(at), take=False) == ""
@@ -32,7 +32,7 @@ def test_it_ends_by_itself_and_lasts_while_it_is_renewed() -> None:
 
 
 def test_it_can_be_taken_and_everybody_hears_from_whom() -> None:
-    command = Command()
+    command = CommandLease()
     command.ask(ANNA, 0.0, take=False)
     assert command.ask(BEN, 1.0, take=True) == "Ben commands, taken from Anna"
     assert command.release(ANNA, 1.0) == "", "who does not hold it gives nothing back"

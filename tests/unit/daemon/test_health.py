@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from annulus_pipe.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
+from annulus_pipe.daemon.health import HeadHealth, HealthFile, HealthWatch, Word, health_path
 
 
 class Head:
@@ -25,7 +25,7 @@ class Head:
 
     def second(
         self, known: int = 25, unknown: int = 0, recorded: int | None = None, why: str = "", **lost: int
-    ) -> Health:
+    ) -> HeadHealth:
         """One more, with so many frames, and so many lost by kind."""
         now = self.telemetry
         frames, drops = now["frames"], now["drops"]
@@ -119,7 +119,7 @@ def test_the_file_is_always_whole_and_the_last_word(tmp_path: Path) -> None:
     path = tmp_path / "scans" / "health.json"
     file = HealthFile(path)
     for number in range(50):
-        file.write(Health(Word.DEGRADED, f"{number} disk"), "scanning", {"minutes_left": 3.0})
+        file.write(HeadHealth(Word.DEGRADED, f"{number} disk"), "scanning", {"minutes_left": 3.0})
         if path.exists():
             json.loads(path.read_text())
     file.close()
@@ -131,7 +131,7 @@ def test_the_file_is_always_whole_and_the_last_word(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written_is_said_and_nothing_worse(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     file = HealthFile(tmp_path / "file" / "health.json")
-    file.write(Health(Word.OK), "idle", {})
+    file.write(HeadHealth(Word.OK), "idle", {})
     file.close()
     assert "cannot be written" in file.problem
 

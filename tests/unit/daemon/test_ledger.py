@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from annulus_pipe.daemon.account import LOSSES, Account
-from annulus_pipe.daemon.ledger import AFTER, BEFORE, LIVE, NO_FRAMES, Ledger, Status, findings
+from annulus_pipe.daemon.ledger import AFTER, BEFORE, LIVE, NO_FRAMES, ExitStatus, Ledger, findings
 
 
 def ledger(**changes: object) -> Ledger:
@@ -28,20 +28,20 @@ def test_what_adds_up_is_shown_and_what_does_not_is_said() -> None:
     assert ledger(recording=False, recorded=0).problem == ""
 
 
-def statuses(one: Ledger, seconds: float = 60.0, dark: bool = True) -> list[Status]:
+def statuses(one: Ledger, seconds: float = 60.0, dark: bool = True) -> list[ExitStatus]:
     return [finding.status for finding in findings(one, seconds, dark)]
 
 
 def test_each_bad_end_has_its_status() -> None:
     assert statuses(ledger()) == []
     assert statuses(ledger(recorded=981, after={"disk": 9})) == [], "under 1 % is in the drops, and no failure"
-    assert statuses(ledger(recorded=980, after={"recording_gone": 10})) == [Status.INCOMPLETE]
-    assert statuses(ledger(recorded=0, after={"disk": 990})) == [Status.UNRECORDED]
+    assert statuses(ledger(recorded=980, after={"recording_gone": 10})) == [ExitStatus.INCOMPLETE]
+    assert statuses(ledger(recorded=0, after={"disk": 990})) == [ExitStatus.UNRECORDED]
     assert statuses(ledger(recording=False, recorded=0)) == []
-    assert statuses(ledger(taken=1001)) == [Status.UNBALANCED]
-    assert statuses(ledger(), dark=False) == [Status.NOT_DARK]
+    assert statuses(ledger(taken=1001)) == [ExitStatus.UNBALANCED]
+    assert statuses(ledger(), dark=False) == [ExitStatus.NOT_DARK]
     nothing = ledger(taken=0, labelled=0, recorded=0, before={})
-    assert statuses(nothing, 60.0) == [Status.UNRECORDED] and statuses(nothing, 1.0) == []
+    assert statuses(nothing, 60.0) == [ExitStatus.UNRECORDED] and statuses(nothing, 1.0) == []
 
 
 def test_a_file_that_is_gone_takes_its_frames_along() -> None:
@@ -56,7 +56,7 @@ def test_a_file_that_is_gone_takes_its_frames_along() -> None:
     assert account.ledger.taken == 8 and account.ledger.problem == ""
 
 
-@pytest.mark.parametrize("status", Status)
-def test_every_status_is_in_the_readme(status: Status) -> None:
+@pytest.mark.parametrize("status", ExitStatus)
+def test_every_status_is_in_the_readme(status: ExitStatus) -> None:
     readme = (Path(__file__).parents[3] / "host/annulus_pipe/daemon/README.md").read_text()
     assert f"| {status.value} | " in readme

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from annulus_pipe.daemon.live_wall import COLUMNS, RECENT_ROWS, UNSEEN, WHOLE_ROWS, Grid, LiveWall, medians
+from annulus_pipe.daemon.live_wall import COLUMNS, RECENT_ROWS, UNSEEN, WHOLE_ROWS, LiveGrid, LiveWall, medians
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.twin.worlds import clean_world
 from annulus_pipe.wall.profile import Profile
@@ -173,7 +173,7 @@ def test_the_median_of_what_was_seen() -> None:
 
 
 def test_a_grid_holds_what_it_is_made_for() -> None:
-    grid = Grid("recent", 5.0, 10, 5)
+    grid = LiveGrid("recent", 5.0, 10, 5)
     one = np.array([0]), np.array([0])
     for row in range(30):
         grid.add(np.array([5.0 * row + 1.0]), *one, np.array([float(row)]))

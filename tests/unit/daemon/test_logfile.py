@@ -8,7 +8,7 @@ import pytest
 
 from annulus_pipe.daemon import logfile
 from annulus_pipe.daemon.config import LogConfig
-from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.health import HeadHealth, Word
 from annulus_pipe.daemon.logfile import LogFile
 from annulus_pipe.daemon.state import State
 from annulus_pipe.vocabulary import AnnulusError
@@ -21,9 +21,9 @@ def test_what_happens_is_a_line_with_time_level_and_kind(tmp_path: Path) -> None
     log.state(State.FAULT, "the line is broken")
     log.event("link", "the line\nwent away")
     log.event("odometer", "zeroed")
-    log.health(Health(Word.DEGRADED, "3 disk"))
-    log.health(Health(Word.DEGRADED, "4 disk"))
-    log.health(Health(Word.OK))
+    log.health(HeadHealth(Word.DEGRADED, "3 disk"))
+    log.health(HeadHealth(Word.DEGRADED, "4 disk"))
+    log.health(HeadHealth(Word.OK))
     log.telemetry({"state": "scanning", "frames": {"led": 3}, "drops": {}})
     log.close()
     lines = (tmp_path / "logs" / "head.log").read_text().splitlines()

@@ -8,7 +8,7 @@ import pytest
 import zmq
 
 from annulus_pipe.daemon import priority
-from annulus_pipe.daemon.priority import Allowance, is_realtime, prompt, raise_priority, share_priority
+from annulus_pipe.daemon.priority import ProcessorAllowance, is_realtime, prompt, raise_priority, share_priority
 
 
 def in_a_thread(work: object) -> list[object]:
@@ -106,7 +106,7 @@ def test_whoever_is_made_to_work_hard_is_an_ordinary_process_until_it_is_left_al
     monkeypatch.setattr(priority.resource, "setrlimit", lambda *_: None)
     monkeypatch.setattr(priority, "_set", lambda tasks, policy, param: set_to.append(policy & ~os.SCHED_RESET_ON_FORK))
     now, used = [0.0], [0.0]
-    allowance = Allowance(True, lambda: now[0], lambda: used[0])
+    allowance = ProcessorAllowance(True, lambda: now[0], lambda: used[0])
     raised = []
     for share in (0.05, 0.2, 0.9, 0.9, 0.1):
         now[0], used[0] = now[0] + 1.0, used[0] + share
@@ -120,4 +120,4 @@ def test_without_permission_or_wish_nothing_is_raised(monkeypatch: pytest.Monkey
     monkeypatch.setattr(priority, "_set", lambda *_: pytest.fail("raised all the same"))
     monkeypatch.setattr(priority, "raise_priority", lambda *_: "refused")
     for wanted in (False, None, True):
-        assert not Allowance(wanted).raised
+        assert not ProcessorAllowance(wanted).raised

@@ -8,7 +8,7 @@ from annulus_pipe.daemon import samples
 from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.config import SensorConfig
 from annulus_pipe.daemon.observer import Observer
-from annulus_pipe.daemon.samples import RETRY_NS, SILENT_NS, Samples, open_sensors
+from annulus_pipe.daemon.samples import RETRY_NS, SILENT_NS, SensorSamples, open_sensors
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.fdc2214 import Tank
 from annulus_pipe.sensors.i2c import I2cSensors
@@ -52,7 +52,9 @@ class Rig:
     def __init__(self, *names: str, on_bus: I2cSensors | None = None) -> None:
         self.sensors = [Scripted(name) for name in names]
         self.account, self.heard, self.navigation = Account(), Listener(), Navigation(0.05)
-        self.samples = Samples(self.sensors if on_bus is None else [on_bus], self.navigation, self.account, self.heard)
+        self.samples = SensorSamples(
+            self.sensors if on_bus is None else [on_bus], self.navigation, self.account, self.heard
+        )
 
     def poll(self, now_ns: int, *values: tuple[str, float], sensor: int = 0) -> None:
         if values:

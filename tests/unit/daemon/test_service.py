@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from annulus_pipe.daemon.health import Health, Word
+from annulus_pipe.daemon.health import HeadHealth, Word
 from annulus_pipe.daemon.service import PATIENCE_S, Service
 from annulus_pipe.daemon.state import State
 
@@ -78,7 +78,7 @@ def test_the_watchdog_is_fed_by_the_loop_and_only_where_there_is_one(systemd: Sy
 
 
 def test_a_failure_that_a_restart_mends_starves_the_watchdog_and_no_other_does(systemd: Systemd) -> None:
-    def feeds(health: Health, seconds: float) -> list[bool]:
+    def feeds(health: HeadHealth, seconds: float) -> list[bool]:
         service = systemd.service(WATCHDOG_USEC="1")
         fed = []
         for _ in range(round(seconds)):
@@ -88,9 +88,9 @@ def test_a_failure_that_a_restart_mends_starves_the_watchdog_and_no_other_does(s
             fed.append("WATCHDOG=1" in systemd.heard()[0])
         return fed
 
-    assert all(feeds(Health(Word.FAILED, "camera 0 is gone"), 3 * PATIENCE_S))
-    assert all(feeds(Health(Word.DEGRADED, "3 disk"), 3 * PATIENCE_S))
-    fed = feeds(Health(Word.FAILED, "none recorded", restart_helps=True), 2 * PATIENCE_S)
+    assert all(feeds(HeadHealth(Word.FAILED, "camera 0 is gone"), 3 * PATIENCE_S))
+    assert all(feeds(HeadHealth(Word.DEGRADED, "3 disk"), 3 * PATIENCE_S))
+    fed = feeds(HeadHealth(Word.FAILED, "none recorded", restart_helps=True), 2 * PATIENCE_S)
     assert fed == [True] * round(PATIENCE_S) + [False] * round(PATIENCE_S)
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from annulus_pipe.daemon.state import TRANSITIONS, Event, State, next_state
+from annulus_pipe.daemon.state import TRANSITIONS, State, StateEvent, next_state
 from annulus_pipe.vocabulary import AnnulusError
 
 # For every state, what each event leads to; an event that is not named is illegal there.
@@ -19,8 +19,8 @@ TABLE = {
 
 
 @pytest.mark.parametrize("state", State)
-@pytest.mark.parametrize("event", Event)
-def test_every_state_answers_every_event(state: State, event: Event) -> None:
+@pytest.mark.parametrize("event", StateEvent)
+def test_every_state_answers_every_event(state: State, event: StateEvent) -> None:
     wanted = TABLE[state].get(event)
     if wanted is not None:
         assert next_state(state, event) is State(wanted)

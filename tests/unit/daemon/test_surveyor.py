@@ -21,7 +21,7 @@ from annulus_pipe.daemon.found import Findings, frames_of, is_same
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.publishing import Publishing
 from annulus_pipe.daemon.surveying import UNHEARD_MAX, Surveying
-from annulus_pipe.daemon.surveyor import OVERLAP, STEP, WAITING, WINDOW, Window
+from annulus_pipe.daemon.surveyor import OVERLAP, STEP, WAITING, WINDOW, ProfileWindow
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.stream.ring import FrameRing
 from annulus_pipe.stream.workers import Shared
@@ -125,7 +125,7 @@ def test_the_frames_of_a_defect_are_those_with_points_there() -> None:
 
 
 def test_a_window_moves_on_by_steps_and_overlaps() -> None:
-    window = Window(D)
+    window = ProfileWindow(D)
     for n in range(STEP - 1):
         window.add(a_profile(n, 3.0 * n))
     assert window.take(final=False) is None
@@ -143,7 +143,7 @@ def test_a_window_moves_on_by_steps_and_overlaps() -> None:
 
 
 def test_profiles_that_wait_too_long_are_counted_and_all_others_looked_at() -> None:
-    window, looked = Window(D), set()
+    window, looked = ProfileWindow(D), set()
     for n in range(1000):
         window.add(a_profile(n, 3.0 * n))
     while (taken := window.take(final=True)) is not None:
@@ -153,7 +153,7 @@ def test_profiles_that_wait_too_long_are_counted_and_all_others_looked_at() -> N
 
 
 def test_where_the_place_was_set_anew_a_window_begins() -> None:
-    window = Window(D)
+    window = ProfileWindow(D)
     for n in range(60):
         window.add(a_profile(n, 3.0 * n if n < 20 else 5000.0 + 3.0 * n))
     profiles, _, begins, _ = window.take(final=False) or ([], 0, False, False)

@@ -16,7 +16,7 @@ from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.image_sensor import Exposure
 from annulus_pipe.twin.native import NativeBoard
 from annulus_pipe.twin.soak_world import MS_TICKS, SoakWorld
-from annulus_pipe.twin.truth import Verdict
+from annulus_pipe.twin.truth import LabelVerdict
 from annulus_pipe.vocabulary import Label
 
 FRAMES = 1200
@@ -55,7 +55,7 @@ class TwoCameras(SoakWorld):
         self.second_labelling = Labelling(mode, self.navigation, self._reported, False)
         self.second_on_the_way: deque[Delivered] = deque()
         self.second_waiting: deque[_Waiting] = deque()
-        self.second_verdicts = Counter[Verdict]()
+        self.second_verdicts = Counter[LabelVerdict]()
         self.flashes: Flashes[int] = Flashes([0, 1], round(6 * self.timing.period_us * 1000))
         self.pairs: list[Gathered[int]] = []
         self.exposure_of: dict[tuple[int, int], int] = {}  # index, camera -> exposure
@@ -109,8 +109,8 @@ def test_no_pair_is_wrong_when_one_camera_loses_one_frame_in_ten(seed: int) -> N
     world.finish()
     world.pairs += world.flashes.ready(0, all_of_them=True)
     for verdicts in (world.verdicts, world.second_verdicts):
-        assert verdicts[Verdict.WRONG_LAMP] == verdicts[Verdict.WRONG_PLACE] == 0
-        assert verdicts[Verdict.RIGHT] > 0.8 * FRAMES
+        assert verdicts[LabelVerdict.WRONG_LAMP] == verdicts[LabelVerdict.WRONG_PLACE] == 0
+        assert verdicts[LabelVerdict.RIGHT] > 0.8 * FRAMES
     whole = [pair for pair in world.pairs if len(pair.frames) == 2]
     assert len(whole) > 500
     for pair in whole:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from annulus_pipe import doctor
 from annulus_pipe.cli.app import app
 from annulus_pipe.daemon import cameras as daemon_cameras
-from annulus_pipe.daemon.check import Finding
+from annulus_pipe.daemon.check import CheckRow
 from annulus_pipe.doctor import drive, lines, machine
 from annulus_pipe.doctor.drive import disk
 from annulus_pipe.doctor.eyes import cameras
@@ -50,15 +50,15 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def rows(found: list[Finding]) -> dict[str, tuple[bool | None, str]]:
+def rows(found: list[CheckRow]) -> dict[str, tuple[bool | None, str]]:
     return {one.what: (one.ok, one.text) for one in found}
 
 
 def test_a_port_is_named_once_by_all_its_names_and_with_who_has_it(root: Path) -> None:
-    assert ports(root) == [Finding("port", True, "annulus-E6614, ttyACM0: free")]
+    assert ports(root) == [CheckRow("port", True, "annulus-E6614, ttyACM0: free")]
     (root / "proc/77/fd/5").symlink_to((root / "dev/ttyACM0").resolve())
     assert users((root / "dev/ttyACM0").resolve(), root) == "minicom (process 77)"
-    assert ports(root) == [Finding("port", None, "annulus-E6614, ttyACM0: minicom (process 77) has it")]
+    assert ports(root) == [CheckRow("port", None, "annulus-E6614, ttyACM0: minicom (process 77) has it")]
 
 
 def test_without_permission_the_group_is_named(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,7 +97,7 @@ def test_the_rule_is_there_or_another_versions_or_not(root: Path) -> None:
     (root / "etc/udev/rules.d" / UDEV).write_text("# old\n")
     assert rule(root)[0].ok is False
     (root / "etc/udev/rules.d" / UDEV).write_bytes(shipped(UDEV).read_bytes())
-    assert rule(root) == [Finding("udev rule", True, f"/etc/udev/rules.d/{UDEV}")]
+    assert rule(root) == [CheckRow("udev rule", True, f"/etc/udev/rules.d/{UDEV}")]
 
 
 def test_a_sensor_that_does_not_lead_is_told(root: Path) -> None:
@@ -126,7 +126,7 @@ class Picamera2:
 
 def test_a_pis_cameras_say_their_modes_unless_another_program_has_them(tmp_path: Path) -> None:
     free, taken = cameras(tmp_path, lambda: Picamera2)
-    assert free == Finding("camera", True, "0: imx477 by Picamera2: 2028x1520 at 40 fps, 4056x3040 at 10 fps")
+    assert free == CheckRow("camera", True, "0: imx477 by Picamera2: 2028x1520 at 40 fps, 4056x3040 at 10 fps")
     assert taken.ok is None and "another program has it" in taken.text
 
 
@@ -165,7 +165,7 @@ def test_a_disk_is_held_against_the_frames_that_come(
     speed, free = disk(tmp_path / "not yet there")
     assert speed.ok is ok
     assert f"{rate / 1.5 / 2.050048e6:.0f} fps of 2.1 MB" in speed.text
-    assert free == Finding("free space", True, f"{tmp_path / 'not yet there'}: 100.0 GB, 0.5 h at 51 MB/s")
+    assert free == CheckRow("free space", True, f"{tmp_path / 'not yet there'}: 100.0 GB, 0.5 h at 51 MB/s")
 
 
 def test_the_disk_is_measured_and_nothing_left_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +176,7 @@ def test_the_disk_is_measured_and_nothing_left_on_it(tmp_path: Path, monkeypatch
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "write", full)
-    assert disk(tmp_path)[0] == Finding(
+    assert disk(tmp_path)[0] == CheckRow(
         "disk", False, f"{tmp_path}: cannot be written (No space left on device). Choose another folder."
     )
     assert not list(tmp_path.iterdir())
@@ -205,7 +205,7 @@ def test_loops_not_compiled_yet_are_no_fault_but_nowhere_to_keep_them_is(monkeyp
     monkeypatch.setattr(compiling, "is_ready", lambda _: False)
     assert kernels()[0].ok is None and "have doctor compile it" in kernels()[0].text
     monkeypatch.setattr(compiling, "folder", lambda: None)
-    assert kernels()[0] == Finding("compiled", False, compiling.NOWHERE)
+    assert kernels()[0] == CheckRow("compiled", False, compiling.NOWHERE)
 
 
 def test_the_command_is_a_table_or_json_and_its_status_says_whether_something_is_wrong(
@@ -218,7 +218,7 @@ def test_the_command_is_a_table_or_json_and_its_status_says_whether_something_is
     )
     found = {row["what"]: row for row in json.loads(run.stdout)}
     assert run.exit_code == 1 and found["head.toml"]["ok"] is False
-    monkeypatch.setattr(doctor, "examine", lambda *_: [Finding("disk", True, "fast"), Finding("port", None, "none")])
+    monkeypatch.setattr(doctor, "examine", lambda *_: [CheckRow("disk", True, "fast"), CheckRow("port", None, "none")])
     run = CliRunner().invoke(app, ["doctor"])
     assert (run.exit_code, run.stdout.splitlines()) == (0, ["ok      disk          fast", "-       port          none"])
     where = CliRunner().invoke(app, ["doctor", "--where"]).stdout.strip()

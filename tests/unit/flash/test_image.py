@@ -10,7 +10,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from annulus_pipe.flash.chips import CHIPS, RP2040, RP2350, Chip
-from annulus_pipe.flash.image import FLASH_START, Image, application, crc32_boot2, parse_image, read_image, require_ours
+from annulus_pipe.flash.image import (
+    FLASH_START,
+    FlashImage,
+    application,
+    crc32_boot2,
+    parse_image,
+    read_image,
+    require_ours,
+)
 from annulus_pipe.flash.update import image_fields, to_uf2
 from annulus_pipe.link.messages import SCHEMA_HASH
 from annulus_pipe.shipped import shipped
@@ -39,11 +47,11 @@ def program_rp2350(size: int = 1024, board: bytes = b"rp2350") -> bytes:
 
 
 def uf2(data: bytes | None = None) -> bytearray:
-    return bytearray(to_uf2(Image("test", data or program(), None)))
+    return bytearray(to_uf2(FlashImage("test", data or program(), None)))
 
 
 def uf2_rp2350(data: bytes | None = None) -> bytearray:
-    return bytearray(to_uf2(Image("test", data or program_rp2350(), None, RP2350)))
+    return bytearray(to_uf2(FlashImage("test", data or program_rp2350(), None, RP2350)))
 
 
 def elf(data: bytes, cut: int = 300, machine: int = 40, address: int = FLASH_START) -> bytes:

@@ -15,7 +15,7 @@ from annulus_pipe.flash.image import (
     APPLICATION_SIZE_AT,
     RECORDS_AT,
     RECORDS_END,
-    Image,
+    FlashImage,
     application,
     has_application,
     parse_image,
@@ -54,7 +54,7 @@ def whole(size: int = SIZE, board: str = "rp2040") -> bytes:
     return loader + body + struct.pack("<I", zlib.crc32(body))
 
 
-def image_of(data: bytes) -> Image:
+def image_of(data: bytes) -> FlashImage:
     return parse_image(bytes(uf2(data)), "annulus.uf2")
 
 
@@ -122,7 +122,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, name, value)
 
 
-def why(head: ScriptedController, image: Image, error: type[AnnulusError] = AnnulusError) -> str:
+def why(head: ScriptedController, image: FlashImage, error: type[AnnulusError] = AnnulusError) -> str:
     with far_end(serving(head)) as port, pytest.raises(error) as caught:
         flash(image, port=port)
     assert "\n" not in str(caught.value)

@@ -15,7 +15,7 @@ from annulus_pipe.flash.chips import RP2040, RP2350
 from annulus_pipe.flash.picoboot import (
     CommandId,
     PicoBoot,
-    StatusCode,
+    PicoBootStatus,
     choose,
     command,
     find_boot_loaders,
@@ -73,7 +73,7 @@ def test_a_status_is_16_bytes_or_refused(data: bytes) -> None:
         return
     status = parse_status(data)
     assert status.token == int.from_bytes(data[:4], "little")
-    assert (status.text in {code.name.lower() for code in StatusCode}) == (status.code <= 8)
+    assert (status.text in {code.name.lower() for code in PicoBootStatus}) == (status.code <= 8)
 
 
 # ---- flashing ----
@@ -146,7 +146,7 @@ def test_an_erase_the_boot_rom_only_pretends_to_have_done_is_found() -> None:
     board = Board()
     with PicoBoot(choose(find_boot_loaders(Bus(board)))) as boot:
         boot.erase(FLASH + 1, 4096)  # refused inside, acknowledged outside, as the boot ROM's code does
-    assert board.erased == [] and board.status[1] == StatusCode.OK
+    assert board.erased == [] and board.status[1] == PicoBootStatus.OK
     board.before = lambda board, what: setattr(board, "xip_exited", False)  # the first erase is the last
     assert "reads ff, written" in one_line(lambda: put(board))
 

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from annulus_pipe.cli.firmware import app
 from annulus_pipe.flash import update
 from annulus_pipe.flash.chips import RP2040, RP2350
-from annulus_pipe.flash.image import Image, parse_image
+from annulus_pipe.flash.image import FlashImage, parse_image
 from annulus_pipe.flash.update import (
     PRODUCT,
     Controller,
@@ -370,7 +370,7 @@ def test_a_foreign_image_needs_force_and_no_file_says_how_to_build_one(
     path.write_bytes(bytes(uf2(program(said=b"blink\0"))))
     flashed: list[str] = []
 
-    def instead(image: Image, **_: object) -> Flashed:
+    def instead(image: FlashImage, **_: object) -> Flashed:
         flashed.append(image.name)
         return Flashed(image.name, "", 0, "", "", True, None)
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from bench_of_faults import PERIOD, Bench, Faults, Score
 
-from annulus_pipe.capture.proof import State, Witness
+from annulus_pipe.capture.proof import ProofState, Witness
 from annulus_pipe.vocabulary import Lamp
 
 NOBODY_COUNTS: Callable[[int], int | None] = lambda k: None  # noqa: E731
@@ -213,7 +213,7 @@ def test_the_operator_is_told_every_change_and_the_numbers_say_why() -> None:
         "doubted, now proved: timestamps have moved",
     ]
     numbers = bench.labelling.numbers()
-    assert numbers["labels"] == State.PROVED and numbers["contradictions"] == {"in hand before its edge": 4}
+    assert numbers["labels"] == ProofState.PROVED and numbers["contradictions"] == {"in hand before its edge": 4}
     assert numbers["offset_ns"] == pytest.approx(92e6, abs=1e6) and numbers["lag_ns"] == pytest.approx(6e6, abs=1e6)
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus_pipe.link.codec import TO_CONTROLLER, TO_HOST, Corrupt, Decoder, Frame, Why, crc16, encode
+from annulus_pipe.link.codec import TO_CONTROLLER, TO_HOST, Corrupt, CorruptReason, Decoder, Frame, crc16, encode
 from annulus_pipe.link.fields import Message
 from annulus_pipe.link.messages import EVENTS, MAX_WIRE, MESSAGES, Notice
 
@@ -105,7 +105,7 @@ def test_golden_vector_is_read_and_written(vector: dict) -> None:
 def test_bad_frame_is_refused_for_the_reason_given(bad: dict) -> None:
     found = Decoder(TO_HOST if bad["to"] == "host" else TO_CONTROLLER).feed(bytes.fromhex(bad["wire"]))
     assert len(found) == 1 and isinstance(found[0], Corrupt), found
-    if found[0].why != Why.ID:  # an id not for this direction is refused before its CRC is looked at
+    if found[0].why != CorruptReason.ID:  # an id not for this direction is refused before its CRC is looked at
         assert found[0].why == bad["reason"]
 
 

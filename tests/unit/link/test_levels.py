@@ -27,7 +27,7 @@ from annulus_pipe.link.messages import (
     TurntableDone,
 )
 from annulus_pipe.link.phase import Phase
-from annulus_pipe.link.session import Answer, EventReceived, EventsLost, Rebooted, Session, identify
+from annulus_pipe.link.session import Answer, EventReceived, EventsLost, LinkSession, Rebooted, identify
 from annulus_pipe.testing.scripted import ScriptedController
 from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
 
@@ -111,7 +111,7 @@ def test_what_an_older_controller_lacks_is_one_line_that_says_what_to_do() -> No
 
 
 def test_messages_nobody_here_knows_are_passed_over_and_counted_not_taken_for_damage() -> None:
-    session = Session()
+    session = LinkSession()
     session.send(identify())
     controller = ScriptedController()
     now = 10**12
@@ -236,7 +236,7 @@ def test_a_suspicion_without_ground_costs_a_new_start_and_is_counted() -> None:
 
 
 def test_the_level_is_told_after_every_identify() -> None:
-    session, controller = Session(), ScriptedController()
+    session, controller = LinkSession(), ScriptedController()
     heard: list[object] = []
     for now in range(10**12, 10**12 + 6 * MS, MS):
         if (now - 10**12) % (3 * MS) == 0:

@@ -13,8 +13,8 @@ from annulus_pipe.link.session import (
     EventReceived,
     EventsLost,
     LinkEvent,
+    LinkSession,
     Rebooted,
-    Session,
     Unanswered,
     identify,
 )
@@ -28,7 +28,7 @@ class Conversation:
     """A session and a controller with a line between them, in virtual time, one millisecond a step."""
 
     def __init__(self, seed: int = 0, rate: float = 0.0, controller: ScriptedController | None = None) -> None:
-        self.session = Session()
+        self.session = LinkSession()
         self.controller = controller or ScriptedController()
         self.line = BadLine(seed, rate)
         self.random = random.Random(seed)
@@ -147,7 +147,7 @@ def test_a_reset_whose_first_events_were_lost_is_noticed_and_they_are_read_again
 
 
 def test_a_silent_line_ends_in_unanswered_not_in_a_storm() -> None:
-    session = Session()
+    session = LinkSession()
     ticket = session.send(identify())
     sent = b""
     happenings: list[LinkEvent] = []
@@ -161,7 +161,7 @@ def test_a_silent_line_ends_in_unanswered_not_in_a_storm() -> None:
 
 def test_no_more_commands_are_under_way_than_the_controller_can_remember() -> None:
     """While a move is unanswered, at most six other sendings: the controller knows a repeat for eight commands."""
-    session = Session()
+    session = LinkSession()
     session.send(Move(1, 10_000, 0))
     controller = ScriptedController()
     now = 0
@@ -194,14 +194,14 @@ def test_a_controller_that_complains_is_answered_soon_but_not_at_once() -> None:
 
 
 def test_a_full_queue_refuses_instead_of_growing() -> None:
-    session = Session()
+    session = LinkSession()
     with pytest.raises(AnnulusError, match="Is the line stuck"):
         for _ in range(1000):
             session.send(Status())
 
 
 def test_identify_goes_alone_since_the_controller_then_forgets_repeats() -> None:
-    session = Session()
+    session = LinkSession()
     session.send(Move(1, 10_000, 0))
     session.send(identify())
     session.send(Ping())

@@ -14,12 +14,12 @@ from annulus_pipe.reprocess.cluster import Dask, packed
 from annulus_pipe.reprocess.ranges import Facts
 from annulus_pipe.reprocess.whole import Filed
 from annulus_pipe.reprocess.windows import Portion, Portions, WindowWork
-from annulus_pipe.rings.diagnosis import Exposure
+from annulus_pipe.rings.diagnosis import FrameLighting
 from annulus_pipe.scans.scan import Scan, ScanFrame
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall.scale import AbsoluteScale
-from annulus_pipe.wall.windows import Plan, Window
+from annulus_pipe.wall.windows import Window, WindowPlan
 
 OF = 100  # frames of a range, and of a window, whose halo has 20 of each neighbour
 PORTION_MOST = 60_000  # bytes; about 24 000
@@ -41,7 +41,7 @@ def portions(ranges: int) -> Portions:
             f"ranges/{n:06d}.parquet",
             OF * n,
             OF * n + OF - 1,
-            tuple((i, Exposure(200.0, 0.0, 0.0, 0.35)) for i in range(OF * n, OF * n + OF)),
+            tuple((i, FrameLighting(200.0, 0.0, 0.0, 0.35)) for i in range(OF * n, OF * n + OF)),
             (),
             (),
             (),
@@ -61,8 +61,8 @@ def portions(ranges: int) -> Portions:
         Window(250.0 * n, 250.0 * (n + 1), tuple(range(max(0, OF * n - 20), min(count, OF * (n + 1) + 20))))
         for n in range(ranges)
     )
-    filed = Filed(Place("season"), facts, tuple(range(0, count, OF)))
-    return Portions(Scan(Path("scan"), frames, None, None), filed, Plan(windows, 2.0, 2.0))
+    filed = Filed(StoragePath("season"), facts, tuple(range(0, count, OF)))
+    return Portions(Scan(Path("scan"), frames, None, None), filed, WindowPlan(windows, 2.0, 2.0))
 
 
 def test_what_a_window_is_sent_does_not_grow_with_its_scan() -> None:
@@ -89,8 +89,8 @@ def test_a_window_is_kept_for_the_scale_of_its_scan_and_no_other() -> None:
 def test_what_is_packed_comes_out_as_it_went_in() -> None:
     for value in (
         Pose(0.1, -0.2, 3.0, 4.0, None),
-        Exposure(1.0, 0.5, float("inf"), 0.35),
-        Place("s3://bucket/x"),
+        FrameLighting(1.0, 0.5, float("inf"), 0.35),
+        StoragePath("s3://bucket/x"),
         Processes(3),
     ):
         assert pickle.loads(packed(value)) == value and type(pickle.loads(packed(value))) is type(value)

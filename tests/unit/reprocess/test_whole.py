@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus_pipe.cli.results import Told, WindowFiles, write_results
+from annulus_pipe.cli.results import ReportContext, WindowFiles, write_results
 from annulus_pipe.job import Observation, Origin
 from annulus_pipe.reprocess import Executor, Processes, Surveyed, in_process, open_job, surveyed
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.wall.joined import Joined
 from tools.bench.speed.long_scan import STEP_MM, drawn_scan
 
@@ -33,7 +33,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def reconstructed(scan: Path, out: Path, executor: Executor = in_process, keep: bool = False) -> Surveyed:
     marked = Observation(300.0, "a stain", 90.0)
-    told, place = Told("a long scan", Origin(observations=(marked,))), Place(out)
+    told, place = ReportContext("a long scan", Origin(observations=(marked,))), StoragePath(out)
     out.mkdir(exist_ok=True)
     job = open_job(scan, scan / "calibration.json")
     done = surveyed(job, place, executor, WindowFiles(told, place), keep=keep, points_max=MOST)

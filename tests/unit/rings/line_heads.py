@@ -9,7 +9,7 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World
-from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.features import WorldFeature
 from annulus_pipe.twin.worlds.pipes import demo_rods, pinhole_camera
 from annulus_pipe.twin.worlds.sensor_head import Projector
 
@@ -17,7 +17,9 @@ RED = (1.0, 0.06, 0.03)
 AXIS = (math.sin(math.radians(0.6)), 0.0, math.cos(math.radians(0.6)))
 
 
-def head(*cones: tuple[float, float], features: tuple[Feature, ...] = (), rods: bool = True, seed: int = 3) -> World:
+def head(
+    *cones: tuple[float, float], features: tuple[WorldFeature, ...] = (), rods: bool = True, seed: int = 3
+) -> World:
     """cones : full angle in degrees and the vertex' place along the camera's axis, mm, from the innermost outwards."""
     rings = tuple(Cone(math.radians(full / 2), AXIS, (0.8, -0.5, z)) for full, z in cones)
     lit = Projector(rings, (0.25,) * len(rings), "R" * (len(rings) + 1), line=RED)

@@ -8,19 +8,19 @@ import pytest
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import Stripes, differs, learn
-from annulus_pipe.rings.diagnosis import Exposure, reference_findings
+from annulus_pipe.rings.diagnosis import FrameLighting, reference_findings
 
 
 @pytest.mark.parametrize(("bright", "dark"), [(13.5, True), (14.5, False)])
 def test_a_frame_is_dark_below_what_any_stripe_has(bright: float, dark: bool) -> None:
-    assert Exposure(bright, 0.0, 0.0, 0.35).dark is dark
+    assert FrameLighting(bright, 0.0, 0.0, 0.35).dark is dark
 
 
 @pytest.mark.parametrize(
     ("clipped", "lost", "over"), [(0.24, 0.0, False), (0.26, 0.0, True), (0.2, 0.048, False), (0.2, 0.052, True)]
 )
 def test_a_frame_is_over_exposed_where_colours_go(clipped: float, lost: float, over: bool) -> None:
-    assert Exposure(255.0, clipped, lost, 0.35).over_exposed is over
+    assert FrameLighting(255.0, clipped, lost, 0.35).over_exposed is over
 
 
 @pytest.mark.parametrize(("lean_deg", "shift_mm", "far"), [(2.4, 3.6, False), (2.6, 0.0, True), (0.0, 4.0, True)])

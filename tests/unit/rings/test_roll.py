@@ -12,7 +12,7 @@ from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import score_cloud
-from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.registration import register
@@ -34,7 +34,7 @@ def test_a_pose_with_roll_goes_there_and_back():
 @pytest.fixture(scope="module")
 def pocketed() -> World:
     world = clean_world(travel_mm=40.0).scaled(832)
-    pocket = Feature("pocket", z_mm=130.0, length_mm=90.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
+    pocket = WorldFeature("pocket", z_mm=130.0, length_mm=90.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0)
     return replace(world, features=(pocket,), roll_deg=25.0)
 
 

@@ -11,7 +11,7 @@ from annulus_pipe.link.client import Client
 from annulus_pipe.link.codec import TO_CONTROLLER, Decoder
 from annulus_pipe.link.messages import Arm, ArmFlag, Commit, StateFlag, Status, StatusReply
 from annulus_pipe.link.stage import stage_from_us
-from annulus_pipe.selftest.promise import Verdict
+from annulus_pipe.selftest.promise import PromiseVerdict
 from annulus_pipe.selftest.run import run_selftest
 from annulus_pipe.testing.heads import ScriptedHead, SimulatedHead
 from annulus_pipe.vocabulary import AnnulusError
@@ -48,7 +48,7 @@ def test_a_broken_promise_is_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("annulus_pipe.selftest.lamps.LATENCY", {"native": 9, "rp2040": 9})
     with SimulatedHead(wires=(STEP_TO_SYNC,)) as head:
         test = run_selftest(head.url, name="", edges=40, move_wire=lambda _: False)
-    broken = [row.what for row in test.rows if row.verdict is Verdict.BROKEN]
+    broken = [row.what for row in test.rows if row.verdict is PromiseVerdict.BROKEN]
     assert broken == ["Falling edge of sync to LED on", "Falling edge of sync to projector on"]
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from annulus_pipe.sensors.odometer import EXPECT_NS, MAX_SPEED_MM_S, SAMPLE_NS, Odometer, Place
+from annulus_pipe.sensors.odometer import EXPECT_NS, MAX_SPEED_MM_S, SAMPLE_NS, FlashPosition, Odometer
 from annulus_pipe.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 PERIOD = 40_000_000
@@ -21,7 +21,7 @@ def hear(odometer: Odometer, one: Flash, host_ns: float, nonce: int | None = Non
     return placed(odometer, one).z_mm
 
 
-def placed(odometer: Odometer, one: Flash) -> Place:
+def placed(odometer: Odometer, one: Flash) -> FlashPosition:
     place = odometer.place(one)
     assert place is not None
     return place
@@ -52,7 +52,7 @@ def test_a_restart_of_the_controller_does_not_send_the_head_back_to_the_start() 
     assert after == pytest.approx(z + speed * (lost_s + up_s), abs=0.1)
     assert hear(place, flash(moved + 20, epoch=2, edge=1), (last_s + lost_s + 0.3) * 1e9) == pytest.approx(after + 1.0)
     assert place.gaps == 1
-    assert placed(place, flash(round(speed * last_s / 0.05), edge=49)) == Place(pytest.approx(z), 0, 0.0)
+    assert placed(place, flash(round(speed * last_s / 0.05), edge=49)) == FlashPosition(pytest.approx(z), 0, 0.0)
 
 
 def test_what_was_not_counted_is_assumed_and_bounded_and_told() -> None:
@@ -73,7 +73,7 @@ def test_a_second_gap_makes_the_first_ones_bound_no_narrower() -> None:
     place = travelled(0.0)
     hear(place, flash(0, epoch=2), 49 * PERIOD + 1e9)
     hear(place, flash(0, epoch=3), 49 * PERIOD + 3e9)
-    assert place.here == Place(0.0, 2, pytest.approx(3 * MAX_SPEED_MM_S)) and place.gaps == 2
+    assert place.here == FlashPosition(0.0, 2, pytest.approx(3 * MAX_SPEED_MM_S)) and place.gaps == 2
 
 
 def test_zero_ends_the_assumption_and_begins_a_segment() -> None:
@@ -81,7 +81,7 @@ def test_zero_ends_the_assumption_and_begins_a_segment() -> None:
     hear(place, flash(0, epoch=2), 49 * PERIOD + 1e9)
     place.zero()
     hear(place, flash(20, epoch=2, edge=1), 50 * PERIOD + 1e9)
-    assert place.here == Place(0.0, 2, 0.0)
+    assert place.here == FlashPosition(0.0, 2, 0.0)
     assert placed(place, flash(0, epoch=2)).assumed  # what was lit before stays what it was
     assert hear(place, flash(40, epoch=2, edge=2), 51 * PERIOD + 1e9) == pytest.approx(1.0)
 
@@ -109,7 +109,7 @@ def test_nothing_is_assumed_to_go_faster_than_the_winch() -> None:
 def test_within_a_boot_z_is_counted_however_many_edges_are_lost() -> None:
     place = travelled(1.0)
     assert hear(place, flash(20 * 100_000, edge=100_000), 4000e9) == pytest.approx(100_000.0)
-    assert place.here == Place(pytest.approx(100_000.0), 0, 0.0) and place.gaps == 0
+    assert place.here == FlashPosition(pytest.approx(100_000.0), 0, 0.0) and place.gaps == 0
 
 
 def test_a_restart_that_was_none_costs_nothing() -> None:
@@ -118,7 +118,7 @@ def test_a_restart_that_was_none_costs_nothing() -> None:
     for i in range(50):
         hear(place, flash(20 * i, edge=i), i * PERIOD, nonce=77)
     hear(place, flash(20 * 90, epoch=2, edge=90), 90 * PERIOD, nonce=77)
-    assert place.here == Place(pytest.approx(90.0), 0, 0.0) and place.gaps == 0 and place.gap is None
+    assert place.here == FlashPosition(pytest.approx(90.0), 0, 0.0) and place.gaps == 0 and place.gap is None
     hear(place, flash(0, epoch=3), 100 * PERIOD, nonce=78)
     assert placed(place, flash(0, epoch=3)).assumed
 
@@ -133,11 +133,11 @@ def test_a_tick_from_before_the_gap_says_nothing_of_it() -> None:
 def test_counts_that_the_controller_lost_make_the_place_assumed_by_as_much() -> None:
     place = travelled(1.0)
     place.lost(10)
-    assert place.here == Place(pytest.approx(49.0), 0, pytest.approx(0.5))
+    assert place.here == FlashPosition(pytest.approx(49.0), 0, pytest.approx(0.5))
     place.lost(10)  # told again
     place.lost(14)
     hear(place, flash(1000, edge=50), 50 * PERIOD)
-    assert place.here == Place(pytest.approx(50.0), 0, pytest.approx(0.7))
+    assert place.here == FlashPosition(pytest.approx(50.0), 0, pytest.approx(0.7))
     assert not placed(place, flash(400, edge=20)).assumed  # long before
 
 

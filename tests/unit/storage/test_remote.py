@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from annulus_pipe.storage import remote
-from annulus_pipe.storage.place import Place, where, writer
+from annulus_pipe.storage.place import StoragePath, where, writer
 from annulus_pipe.storage.remote import ChangedError, Patience, RemoteFile, UnreachableError, Url, joined, remote_file
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
@@ -66,7 +66,7 @@ def test_a_password_is_never_shown() -> None:
 
 @pytest.mark.parametrize("local", [True, False])
 def test_a_place_keeps_what_is_written(store: ObjectStore, tmp_path: Path, local: bool) -> None:
-    place = Place(tmp_path / "out" if local else store.url("out"))
+    place = StoragePath(tmp_path / "out" if local else store.url("out"))
     assert place.read("a") is None and place.names() == [] and place.names("b/") == []
     place.write("b/2", b"two")
     place.write("b/1", b"one")
@@ -86,7 +86,7 @@ def test_a_place_keeps_what_is_written(store: ObjectStore, tmp_path: Path, local
 
 @pytest.mark.parametrize("local", [True, False])
 def test_a_writer_that_fails_changes_nothing(store: ObjectStore, tmp_path: Path, local: bool) -> None:
-    place = Place(tmp_path if local else store.url("half"))
+    place = StoragePath(tmp_path if local else store.url("half"))
     place.write("a", b"before")
     with pytest.raises(ZeroDivisionError), writer(place, "a") as file:
         file.write(b"after")
@@ -101,9 +101,11 @@ def test_a_folder_goes_into_a_place_its_last_file_after_the_others(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
     written: list[str] = []
-    write = Place.write
-    monkeypatch.setattr(Place, "write", lambda self, name, content: (written.append(name), write(self, name, content)))
-    place = Place(store.url("folder"))
+    write = StoragePath.write
+    monkeypatch.setattr(
+        StoragePath, "write", lambda self, name, content: (written.append(name), write(self, name, content))
+    )
+    place = StoragePath(store.url("folder"))
     place.write_folder(tmp_path, last="summary.json", leave_out="windows")
     assert written == ["wall.npz", "a/summary.json", "summary.json"]
     assert place.names() == sorted(written) and place.read("a/summary.json") == b"a/summary.json"
@@ -112,7 +114,7 @@ def test_a_folder_goes_into_a_place_its_last_file_after_the_others(
 @pytest.mark.parametrize("name", ["", "/a", "../a", "a/../../b", "a\\b", "a\0"])
 def test_a_name_stays_in_its_place(tmp_path: Path, name: str) -> None:
     with pytest.raises(AnnulusError):
-        Place(tmp_path / "in").write(name, b"")
+        StoragePath(tmp_path / "in").write(name, b"")
 
 
 @pytest.mark.parametrize("fault", ["500", "503", "slow", "cut", "half"])
@@ -123,11 +125,11 @@ def test_a_fault_is_survived_with_the_same_bytes(
     store.fault = lambda number, asked: fault if number % 2 else None
     if fault == "slow":
         monkeypatch.setattr(remote, "PATIENCE", HASTY)
-    assert Place(url.parent).read("a") == CONTENT
+    assert StoragePath(url.parent).read("a") == CONTENT
     with RemoteFile(url) as file:
         file.seek(1000)
         assert file.read(70_000) == CONTENT[1000:71_000]
-    Place(url.parent).write("b", CONTENT)
+    StoragePath(url.parent).write("b", CONTENT)
     store.fault = lambda number, asked: None
     assert store.get("faults/b") == CONTENT and store.faults
 
@@ -136,7 +138,7 @@ def test_a_store_that_fails_for_ever_is_one_line_in_bounded_time(store: ObjectSt
     url = Url(store.put("faults/c", CONTENT))
     store.fault = lambda number, asked: "500"
     with pytest.raises(UnreachableError, match="failed 5 times in"):
-        Place(url.parent).read("c")
+        StoragePath(url.parent).read("c")
     assert 1 < store.requests <= 5  # an attempt on a connection that the store has just closed asks it nothing
 
 
@@ -144,7 +146,7 @@ def test_what_is_not_there_is_one_line_at_once(store: ObjectStore) -> None:
     with pytest.raises(FileNotFoundError):
         RemoteFile(Url(store.url("nothing")))
     with pytest.raises(AnnulusError, match="no such bucket"):
-        Place("s3://nobodys").write("a", b"")
+        StoragePath("s3://nobodys").write("a", b"")
     assert store.requests <= 6
 
 
@@ -157,7 +159,7 @@ def test_no_permission_is_one_line_at_once(store: ObjectStore, monkeypatch: pyte
     monkeypatch.setenv("AWS_CONFIG_FILE", "/nonexistent")
     s3fs.S3FileSystem.clear_instance_cache()
     with pytest.raises(AnnulusError, match="no permission"):
-        Place(store.url("x")).read("a")
+        StoragePath(store.url("x")).read("a")
     s3fs.S3FileSystem.clear_instance_cache()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.stream.frames import FrameHeader
-from annulus_pipe.stream.ring import FrameRing, Overwritten, Place, RingView
+from annulus_pipe.stream.ring import FrameRing, Overwritten, RingSlot, RingView
 from annulus_pipe.vocabulary import Label
 
 
@@ -39,7 +39,7 @@ def test_a_reader_sees_what_the_owner_wrote() -> None:
 def test_a_held_slot_is_never_given_away() -> None:
     """A thousand seeded steps of claim, hold and release against a model that counts on its fingers."""
     ring, rng = FrameRing(5, 100), random.Random(3)
-    model: dict[Place, int] = {}
+    model: dict[RingSlot, int] = {}
     for _ in range(1000):
         what = rng.choice(["claim", "hold", "release", "release"])
         if what == "claim":
@@ -69,7 +69,7 @@ def test_a_reader_of_a_slot_given_to_another_frame_is_told() -> None:
     ring.write(place, np.zeros((30, 40), np.uint8))
     with pytest.raises(Overwritten), view.frame(header(), place):
         ring.release(place)
-        assert ring.claim() == Place(place.slot, place.stamp + 1)
+        assert ring.claim() == RingSlot(place.slot, place.stamp + 1)
     with pytest.raises(Overwritten), view.frame(header(), place):
         pytest.fail("entered")
 
@@ -83,7 +83,7 @@ def test_wrong_use_is_refused() -> None:
         ring.write(place, np.zeros((31, 40), np.uint8))
     with pytest.raises(ValueError, match="do not fit"):
         ring.write(place, np.zeros((3, 4), np.float32))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="outside"), view.frame(header(), Place(9, 1)):
+    with pytest.raises(ValueError, match="outside"), view.frame(header(), RingSlot(9, 1)):
         pass
     with pytest.raises(ValueError, match="outside"), view.frame(header(width=4000), place):
         pass

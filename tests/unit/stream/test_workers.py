@@ -14,7 +14,7 @@ import zmq
 
 from annulus_pipe.stream import workers
 from annulus_pipe.stream.frames import FrameHeader
-from annulus_pipe.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
+from annulus_pipe.stream.pool_events import Died, Done, FrameFailed, FrameLost, PoolEvent, Ready, Report
 from annulus_pipe.stream.ring import FrameRing
 from annulus_pipe.stream.workers import HUNG_S, Shared, WorkerKind, WorkerPool
 from annulus_pipe.vocabulary import AnnulusError, Label
@@ -117,7 +117,7 @@ def test_frames_of_one_flash_come_to_one_worker_and_their_slots_back_whatever_it
         yard.until(lambda: yard.pool.in_hand == 0)
         assert yard.ring.free == len(yard.ring)
     assert [done.body for done in yard.of(Done)] == [[[0, 1200], [1, 2400]]]
-    assert "asked to" in yard.of(Failed)[0].why and yard.of(FrameLost)[0].header.camera == 0
+    assert "asked to" in yard.of(FrameFailed)[0].why and yard.of(FrameLost)[0].header.camera == 0
     yard.close()
 
 
@@ -130,8 +130,8 @@ def test_a_job_of_single_frames_refuses_several(yard: Yard) -> None:
     assert yard.pool.offer(header, places[0], None, [(header, places[1])])
     for place in places:
         yard.ring.release(place)
-    yard.until(lambda: yard.of(Failed))
-    assert "a job that takes one" in yard.of(Failed)[0].why
+    yard.until(lambda: yard.of(FrameFailed))
+    assert "a job that takes one" in yard.of(FrameFailed)[0].why
 
 
 @pytest.mark.deep(
@@ -149,8 +149,8 @@ def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
 def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> None:
     yard.hand_out("raise")
     yard.hand_out("fine")
-    yard.until(lambda: yard.of(Failed) and yard.of(Done))
-    assert yard.of(Failed)[0].why == "RuntimeError: asked to"
+    yard.until(lambda: yard.of(FrameFailed) and yard.of(Done))
+    assert yard.of(FrameFailed)[0].why == "RuntimeError: asked to"
     assert yard.pool.counts["died"] == 0
 
 

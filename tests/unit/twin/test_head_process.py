@@ -14,7 +14,7 @@ from annulus_pipe.vocabulary import AnnulusError
 
 
 @pytest.fixture
-def head() -> Iterator[process.Head]:
+def head() -> Iterator[process.TwinHead]:
     order = {
         "world": demo_world().scaled(104).to_dict(),
         "timing": asdict(head_timing(25.0)),
@@ -25,13 +25,13 @@ def head() -> Iterator[process.Head]:
         "threads": 1,
         "board": "native",
     }
-    head = process.Head(order)
+    head = process.TwinHead(order)
     yield head
     head.close()
 
 
 def test_a_controller_gets_nothing_before_the_host_has_sent_it(
-    head: process.Head, monkeypatch: pytest.MonkeyPatch
+    head: process.TwinHead, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent, got = list[int](), list[int]()
 
@@ -47,7 +47,7 @@ def test_a_controller_gets_nothing_before_the_host_has_sent_it(
     assert [at + process.TICK_NS >= then for at, then in zip(got, sent, strict=True)] == [True] * 3
 
 
-def test_a_head_that_was_held_up_stretches_its_time_and_says_by_how_much(head: process.Head) -> None:
+def test_a_head_that_was_held_up_stretches_its_time_and_says_by_how_much(head: process.TwinHead) -> None:
     head.advance()
     before, at_ns, stretched_before_ms = head.board.tick, head.clock.ns(head.board.tick), head.stretched_ms
     time.sleep(process.LATE_S + 0.2)

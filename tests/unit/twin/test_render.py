@@ -10,7 +10,7 @@ import pytest
 from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import Feature, World, clean_world, demo_world, fisheye_camera
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world, demo_world, fisheye_camera
 
 CLEAN = replace(clean_world(), rods=()).scaled(832)
 
@@ -120,16 +120,16 @@ def radius_seen(world: World, direction: float) -> float:
 )
 def test_a_pocket_and_an_oval_move_the_rings_by_their_depth() -> None:
     base = replace(clean_world(), rods=(), radius_mm=76.2)
-    pocket = Feature("pocket", z_mm=100.0, length_mm=70.0, depth_mm=3.0, clock_deg=90.0, arc_deg=40.0)
+    pocket = WorldFeature("pocket", z_mm=100.0, length_mm=70.0, depth_mm=3.0, clock_deg=90.0, arc_deg=40.0)
     assert radius_seen(replace(base, features=(pocket,)), 0.0) == pytest.approx(79.2, abs=0.2)
-    oval = Feature("oval", z_mm=100.0, length_mm=120.0, depth_mm=2.0, clock_deg=0.0)
+    oval = WorldFeature("oval", z_mm=100.0, length_mm=120.0, depth_mm=2.0, clock_deg=0.0)
     assert radius_seen(replace(base, features=(oval,)), math.pi / 2) == pytest.approx(78.0, abs=0.35)
     assert radius_seen(replace(base, features=(oval,)), 0.0) == pytest.approx(74.4, abs=0.5)
     assert radius_seen(base, 0.0) == pytest.approx(76.2, abs=0.05)
 
 
 def test_a_bump_throws_its_shadow_down_the_pipe_and_a_lamp_at_the_lens_none() -> None:
-    bump = Feature("bump", z_mm=92.0, length_mm=26.0, depth_mm=8.0, clock_deg=90.0)
+    bump = WorldFeature("bump", z_mm=92.0, length_mm=26.0, depth_mm=8.0, clock_deg=90.0)
     world = noiseless(replace(clean_world(), rods=(), features=(bump,)))
     renderer = Renderer(world)
     behind = world.camera.project(np.array([[76.2, 0.0, 110.4]]))[0]

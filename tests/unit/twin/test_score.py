@@ -5,7 +5,7 @@ import pytest
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.score import score, score_cloud, score_defects
-from annulus_pipe.twin.worlds import Feature, clock_text, demo_world
+from annulus_pipe.twin.worlds import WorldFeature, clock_text, demo_world
 
 WORLD = demo_world()
 
@@ -56,13 +56,13 @@ def test_clock_positions_read_as_on_a_dial() -> None:
 
 
 def test_features_have_the_shape_they_say() -> None:
-    pocket = Feature("pocket", 100.0, 20.0, 3.0, clock_deg=90.0, arc_deg=30.0)
+    pocket = WorldFeature("pocket", 100.0, 20.0, 3.0, clock_deg=90.0, arc_deg=30.0)
     clock, z = np.array([90.0, 80.0, 110.0, 90.0]), np.array([100.0, 95.0, 100.0, 111.0])
     np.testing.assert_allclose(pocket.deviation(clock, z, 76.2), [3, 3, 0, 0])
-    bump = Feature("bump", 100.0, 24.0, 4.0, clock_deg=0.0)
+    bump = WorldFeature("bump", 100.0, 24.0, 4.0, clock_deg=0.0)
     assert bump.deviation(np.array([0.0]), np.array([100.0]), 76.2)[0] == pytest.approx(-4.0)
     assert bump.deviation(np.array([0.0]), np.array([112.1]), 76.2)[0] == 0.0
-    oval = Feature("oval", 100.0, 60.0, 2.0, clock_deg=30.0)
+    oval = WorldFeature("oval", 100.0, 60.0, 2.0, clock_deg=30.0)
     np.testing.assert_allclose(
         oval.deviation(np.array([30.0, 120.0, 210.0, 30.0]), np.array([100.0, 100.0, 100.0, 130.0]), 76.2),
         [2, -2, 2, 0],

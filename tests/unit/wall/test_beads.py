@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from even_wall import RADIUS_MM, even_wall
 
-from annulus_pipe.wall.beads import Bead, measure_bead
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.beads import WallBead, measure_bead
+from annulus_pipe.wall.points import WallPoints
 
 AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
@@ -19,7 +19,7 @@ def _stands(z: np.ndarray, height: float, width: float) -> np.ndarray:
     return np.where(np.abs(z - AT_MM) < width / 2, height * np.sqrt(np.maximum(1.0 - arm * arm, 0.0)), 0.0)
 
 
-def _measured(height: float, width: float, half_slit: float, rng: np.random.Generator) -> Bead:
+def _measured(height: float, width: float, half_slit: float, rng: np.random.Generator) -> WallBead:
     return measure_bead(even_wall(), _points(height, width, half_slit, rng), _zone(width))
 
 
@@ -27,7 +27,7 @@ def _zone(width: float) -> tuple[float, float]:
     return AT_MM - width / 2 - 2, AT_MM + width / 2 + 12
 
 
-def _points(height: float, width: float, half_slit: float, rng: np.random.Generator) -> Points:
+def _points(height: float, width: float, half_slit: float, rng: np.random.Generator) -> WallPoints:
     """Slits of rings in frames 5 mm apart: the middle of what light falls on the wall, or on the bead, the brighter one
     of both, drawn to the nominal cone."""
     z, stands, ratio, sector, look = [], [], [], [], []
@@ -51,7 +51,7 @@ def _points(height: float, width: float, half_slit: float, rng: np.random.Genera
                 look += [looks] * 2
     rows = [np.array(one, float) for one in (z, stands, ratio)]
     clock = np.array(sector) * 10.0 + 5.0
-    return Points(
+    return WallPoints(
         rows[0],
         np.array(sector),
         rows[1],

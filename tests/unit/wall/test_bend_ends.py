@@ -5,7 +5,7 @@ import pytest
 from chained_pipe import frames
 from synthetic_pipe import CALIBRATION
 
-from annulus_pipe.wall.adjustment import PIECE, State, adjust, sightings
+from annulus_pipe.wall.adjustment import PIECE, AdjustmentState, adjust, sightings
 from annulus_pipe.wall.adjustment import START as START_OF_PIECE
 from annulus_pipe.wall.axis import Begins, _ended, _free
 from annulus_pipe.wall.centreline import Centreline, Piece
@@ -22,7 +22,7 @@ def test_a_turn_shortly_before_a_bends_end_is_its_end(hilo: float, ends: Begins)
     pieces = np.zeros((3, PIECE))
     pieces[:, START_OF_PIECE], pieces[0, 6], pieces[1, 4] = (0.0, START, END - 5.0), R, 1 / BEND
     begins = [Begins.STRAIGHT, Begins.BEND, Begins.JOINT]
-    start = State(pieces, np.zeros((seen.rings, 3)), seen.heads)
+    start = AdjustmentState(pieces, np.zeros((seen.rings, 3)), seen.heads)
     found = adjust(seen, start, _free(begins), scales_mm=(1.0, 0.5))
     found, begins = _ended(seen, found, begins)
     assert begins[2] is ends

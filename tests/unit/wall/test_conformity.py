@@ -16,7 +16,7 @@ from annulus_pipe.untrusted import parse_toml
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import QUANTITIES, Criteria, Decision, decide, judge
 from annulus_pipe.wall.defects import Defect, Detection, Kind, Limits
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.stations import Stations
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.unjudged import Unjudged
@@ -180,7 +180,7 @@ def bump(height: float, k2: float) -> Defect:
 
 
 def joint(hilo: float, k2: float) -> Feature:
-    return Feature(FeatureKind.JOINT, 10, 5, measures=(Measure("hilo_mm", hilo, k2),))
+    return Feature(FeatureKind.JOINT, 10, 5, measures=(FeatureMeasure("hilo_mm", hilo, k2),))
 
 
 def survey(

@@ -5,7 +5,7 @@ import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, pocket, round_pipe, scan, turn
 
 from annulus_pipe.wall.defects import find_defects
-from annulus_pipe.wall.grid import Observations, Wall, build_wall
+from annulus_pipe.wall.grid import Wall, WallObservations, build_wall
 from annulus_pipe.wall.indications import Indication, Kind, Limits, Scale, depth_of
 from annulus_pipe.wall.survey import survey
 
@@ -67,7 +67,7 @@ def test_rings_weigh_by_what_they_may_be_off() -> None:
     radius = np.array([76.0, 76.4, 76.5], np.float32)
     sigma = np.array([0.05, 0.4, 0.4], np.float32)
     cells = np.arange(Z * A)
-    seen = Observations(
+    seen = WallObservations(
         np.repeat(cells, 3),
         np.tile(np.arange(3, dtype=np.int32), Z * A),
         np.tile(radius, Z * A),

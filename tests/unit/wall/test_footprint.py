@@ -8,7 +8,7 @@ from chained_pipe import frames
 from synthetic_pipe import CALIBRATION
 
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.wall.adjustment import PIECE, RADIUS, START, State, sightings
+from annulus_pipe.wall.adjustment import PIECE, RADIUS, START, AdjustmentState, sightings
 from annulus_pipe.wall.centreline import Centreline, Piece
 from annulus_pipe.wall.footprint import centred
 
@@ -45,7 +45,7 @@ def test_a_slit_on_a_bent_wall_is_where_its_middle_is(clock: float) -> None:
     pieces = np.zeros((2, PIECE))
     pieces[:, START], pieces[0, RADIUS], pieces[1, 4] = (0.0, 60.0), R, 1 / 400.0
     heads = np.array([[0.0] * 5, [HEAD.rx, HEAD.ry, HEAD.tx, HEAD.ty, 0.0]])
-    state = State(pieces, np.zeros((seen.rings, 3)), heads)
+    state = AdjustmentState(pieces, np.zeros((seen.rings, 3)), heads)
     before, after = [], []
     for k, cone in enumerate(CALIBRATION.rings):
         vertex, edges = cone.vertex_mm[2], cone.half_angle + SLIT * np.array([-1.0, 0.0, 1.0])

@@ -5,7 +5,7 @@ import pytest
 from even_wall import RADIUS_MM, even_wall
 
 from annulus_pipe.wall.joints import _gap
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.points import WallPoints
 
 AT_MM = 172.0
 DEEP_MM = 9.0
@@ -19,7 +19,7 @@ def _measured(gap: float, askew_mm: float, half_slit: float) -> tuple[float, flo
     stands = np.where(open_, -DEEP_MM, 0.0)
     same = np.ones(len(z))
     sector = (clock // 10).astype(np.intp)
-    points = Points(
+    points = WallPoints(
         z, sector, stands, 0.05 * same, 2.0 * same, half_slit * same, RADIUS_MM - stands, clock, np.zeros_like(sector)
     )
     return _gap(

@@ -5,7 +5,7 @@ import pytest
 from even_wall import RADIUS_MM, even_wall
 
 from annulus_pipe.wall.grooves import groove_floor
-from annulus_pipe.wall.points import Points
+from annulus_pipe.wall.points import WallPoints
 from annulus_pipe.wall.profile import Profile
 
 AT_MM = 172.0
@@ -50,7 +50,7 @@ def _floor(
     deep: float, width: float, listed: float, seed: int = 2, arc_deg: float = 360.0
 ) -> tuple[float, float] | None:
     wall = even_wall()
-    points = Points.of(wall, _frames(deep, width, np.random.default_rng(seed)), RATIOS)
+    points = WallPoints.of(wall, _frames(deep, width, np.random.default_rng(seed)), RATIOS)
     return groove_floor(wall, points, (AT_MM - 6, AT_MM + 6), 30.0, arc_deg, listed)
 
 

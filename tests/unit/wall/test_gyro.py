@@ -15,8 +15,8 @@ from annulus_pipe.wall.adjustment import (
     PIECE,
     START,
     Adjusted,
+    AdjustmentState,
     Sightings,
-    State,
     adjust,
     sightings,
     unmodelled,
@@ -65,7 +65,10 @@ def ride() -> Ride:
     pieces[0, adjustment.RADIUS], pieces[1, CURVATURE] = R, TURN
     free[0, adjustment.RADIUS] = free[1:, START] = free[1, CURVATURE] = True
     found = adjust(
-        seen, State(pieces, np.zeros((seen.rings, adjustment.BIAS)), seen.heads), free, scales_mm=(5.0, 1.0, 0.5)
+        seen,
+        AdjustmentState(pieces, np.zeros((seen.rings, adjustment.BIAS)), seen.heads),
+        free,
+        scales_mm=(5.0, 1.0, 0.5),
     )
     return Ride(profiles, heads, seen, replace(found, covariance=found.covariance + unmodelled(seen, found)))
 

@@ -8,7 +8,7 @@ from drawn_heads import RADIUS, head, radius_of, scan
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.drift import Drift
-from annulus_pipe.wall.explained import TRANSLUCENT, Before, Effects, answer_at, drift_before
+from annulus_pipe.wall.explained import TRANSLUCENT, DriftPrior, Effects, answer_at, drift_before
 from annulus_pipe.wall.grid import build_wall
 from annulus_pipe.wall.offsets import observations, ring_offsets
 from annulus_pipe.wall.optics import Optics, Prior
@@ -30,7 +30,7 @@ def drawn(rng: np.random.Generator) -> Drift:
     shift = rng.choice([mm for mm, _ in TRANSLUCENT], p=[chance for _, chance in TRANSLUCENT])
     prior = Prior()
     sigma = np.array([prior.focal, prior.slide, 56 * prior.tube, prior.anamorphic])
-    return Drift.of(rng.multivariate_normal(*drift_before(Before(np.zeros(4), sigma), shift)))
+    return Drift.of(rng.multivariate_normal(*drift_before(DriftPrior(np.zeros(4), sigma), shift)))
 
 
 def measured(scale: AbsoluteScale | None, profiles: list, calibration) -> tuple[float, float]:  # type: ignore[no-untyped-def]
@@ -290,7 +290,7 @@ def test_in_a_bend_nothing_is_named_a_drift() -> None:
         wound.append(ring_offsets(seen, len(head().rings), RADIUS))
     assert wound[0].bent_mm < 0.6 < 1.5 < wound[1].bent_mm  # measured 0.26 and 3.2 mm
     seen, sigma = observations(straight), Prior()
-    before = Before(np.zeros(4), np.array([sigma.focal, sigma.slide, sigma.tube * 56, sigma.anamorphic]))
+    before = DriftPrior(np.zeros(4), np.array([sigma.focal, sigma.slide, sigma.tube * 56, sigma.anamorphic]))
     effects = Effects.of(seen, wound[0].weight, head())
 
     def named(bent_mm: float) -> float:

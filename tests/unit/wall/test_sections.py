@@ -9,7 +9,7 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pip
 
 from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.defects import Defect, Kind
-from annulus_pipe.wall.photograph import SIDE_MAX_PX, Shot, View, best_views, crop
+from annulus_pipe.wall.photograph import SIDE_MAX_PX, DefectView, Shot, best_views, crop
 from annulus_pipe.wall.sections import MOST, cut, worth_showing
 
 KINDS = [Kind.LOSS, Kind.BUMP, Kind.LOSS]
@@ -118,7 +118,7 @@ def test_a_page_shows_the_deepest_and_what_was_asked_for() -> None:
     assert 0 in worth_showing(many, 3, first=(0,)) and len(worth_showing(many, 3, first=(0,))) == 3
 
 
-def mask_of(view: View) -> np.ndarray:
+def mask_of(view: DefectView) -> np.ndarray:
     mask = np.zeros((CALIBRATION.camera.height, CALIBRATION.camera.width), np.uint8)
     cv2.fillPoly(mask, [np.rint(line).astype(np.int32) for line in view.outline], 1)
     return mask > 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipe
 
-from annulus_pipe.wall.grid import Observations, Wall
+from annulus_pipe.wall.grid import Wall, WallObservations
 from annulus_pipe.wall.shape import fit_shape
 from annulus_pipe.wall.stations import across_mm, around_mm, measure_stations
 
@@ -148,7 +148,7 @@ def wall_of(radius: np.ndarray) -> Wall:
     mean = np.nanmean(radius)
     shape[:, 0], shape[:, 3] = mean, (radius[0, 0] - radius[0, 90]) / 2
     none = np.zeros(0)
-    seen = Observations(
+    seen = WallObservations(
         none.astype(np.int64),
         none.astype(np.int32),
         none.astype(np.float32),

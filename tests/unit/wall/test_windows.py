@@ -8,7 +8,7 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall import Profile, Survey, survey
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
-from annulus_pipe.wall.windows import Plan, Reach, between, plan
+from annulus_pipe.wall.windows import Reach, WindowPlan, between, plan
 
 pytestmark = pytest.mark.deep(gate="tests/unit/wall/test_survey.py::test_every_figure_is_an_attribute")
 
@@ -30,12 +30,12 @@ def profiles() -> list[Profile]:
 
 
 @pytest.fixture(scope="module")
-def cut(profiles: list[Profile]) -> Plan:
+def cut(profiles: list[Profile]) -> WindowPlan:
     return plan([Reach.of(one) for one in profiles], RADIUS_MM, MOST)
 
 
 @pytest.fixture(scope="module")
-def parts(profiles: list[Profile], cut: Plan) -> list[Survey]:
+def parts(profiles: list[Profile], cut: WindowPlan) -> list[Survey]:
     return [
         between(survey([profiles[i] for i in one.frames], CALIBRATION, z_step_mm=cut.z_step_mm), one)
         for one in cut.windows
@@ -43,16 +43,16 @@ def parts(profiles: list[Profile], cut: Plan) -> list[Survey]:
 
 
 @pytest.fixture(scope="module")
-def pipe(parts: list[Survey], cut: Plan) -> Joined:
+def pipe(parts: list[Survey], cut: WindowPlan) -> Joined:
     return joined([abstract(one, window, cut.whole_step_mm) for one, window in zip(parts, cut.windows, strict=True)])
 
 
 @pytest.fixture(scope="module")
-def at_once(profiles: list[Profile], cut: Plan) -> Survey:
+def at_once(profiles: list[Profile], cut: WindowPlan) -> Survey:
     return survey(profiles, CALIBRATION, z_step_mm=cut.z_step_mm)
 
 
-def test_the_wall_has_no_seam(parts: list[Survey], at_once: Survey, cut: Plan) -> None:
+def test_the_wall_has_no_seam(parts: list[Survey], at_once: Survey, cut: WindowPlan) -> None:
     z = np.concatenate([one.wall.z_mm for one in parts])
     radius = np.concatenate([one.wall.radius_mm for one in parts])
     assert len(cut.windows) >= 4 and (np.diff(z) == cut.z_step_mm).all(), "rows of one grid, each once"
@@ -90,7 +90,7 @@ def test_what_is_counted_is_counted_once(pipe: Joined, parts: list[Survey], at_o
     assert np.diff(pipe.stations.z_mm).min() > 0 and pipe.findings == at_once.findings
 
 
-def test_a_coarser_map_of_the_whole_still_shows_where_things_are(parts: list[Survey], cut: Plan) -> None:
+def test_a_coarser_map_of_the_whole_still_shows_where_things_are(parts: list[Survey], cut: WindowPlan) -> None:
     pipe = joined([abstract(one, window, 20.0) for one, window in zip(parts, cut.windows, strict=True)])
     assert pipe.wall.z_step_mm == 20.0 and (np.diff(pipe.wall.z_mm) == 20.0).all()
     loss = next(one for one in pipe.defects if one.kind is Kind.LOSS and one.depth_mm > 1.5)

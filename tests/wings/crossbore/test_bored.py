@@ -5,13 +5,13 @@ import pytest
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.wings.crossbore.measure.bored import Bored, bored, changes, source_cases
-from annulus_pipe.wings.crossbore.measure.field import AIR, WATER, Section
+from annulus_pipe.wings.crossbore.measure.field import AIR, WATER, CrossSection
 
 pytestmark = pytest.mark.deep(
     gate="tests/wings/crossbore/test_detect.py::test_water_is_told_in_dry_soil_or_by_its_loss_and_where_it_cannot_be_that_is_said"
 )
 
-CASE = Section()
+CASE = CrossSection()
 AIR_CASES, WATER_CASES = (source_cases(76.0, CASE.pipe.outer_mm, fill) for fill in (AIR, WATER))
 ASKED = [*AIR_CASES.values(), WATER_CASES["through"], WATER_CASES["50 mm clear"]]
 
@@ -47,14 +47,14 @@ def test_water_in_the_bore_raises_what_air_lowers_and_loses_more(changed: tuple[
 
 
 def test_a_millimetre_off_the_axis_is_three_tenths_of_the_swing(soil: Bored) -> None:
-    air, off = bored(Section(soil=AIR)).pf, bored(Section(off_mm=(1.0, 0.0))).pf
+    air, off = bored(CrossSection(soil=AIR)).pf, bored(CrossSection(off_mm=(1.0, 0.0))).pf
     assert np.ptp(soil.pf) < 1e-5 * soil.pf[0]
     assert (off[0] - soil.pf[0]) / (soil.pf[0] - air[0]) == pytest.approx(0.31, abs=0.04)
     assert off[1] == pytest.approx(off[2], rel=1e-4)
 
 
 def test_a_finer_mesh_moves_reading_and_change_little(changed: tuple[FloatArray, FloatArray], soil: Bored) -> None:
-    fine = bored(Section(fine=1.6))
-    half = bored(Section(fine=1.6, bore=AIR_CASES["half"]))
+    fine = bored(CrossSection(fine=1.6))
+    half = bored(CrossSection(fine=1.6, bore=AIR_CASES["half"]))
     assert 1000 * (half.pf - fine.pf) == pytest.approx(changed[0][list(AIR_CASES).index("half")], rel=0.02, abs=0.5)
     assert fine.pf[0] == pytest.approx(soil.pf[0], rel=0.01)

@@ -14,16 +14,16 @@ from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.ground import Bore, Drawn, Ground, log, some_ground, write
 from annulus_pipe.wings.crossbore.log_file import read_bore_log
-from annulus_pipe.wings.crossbore.measure import Account, Indication, Kind, Log, detect, on_grid
+from annulus_pipe.wings.crossbore.measure import BoreDetections, BoreIndication, BoreKind, Log, detect, on_grid
 
 PLAIN = Ground(6000.0)
 
 
-def found(ground: Ground, seed: int = 1) -> Account:
+def found(ground: Ground, seed: int = 1) -> BoreDetections:
     return detect(on_grid(log(ground, seed).rows()))
 
 
-def only(ground: Ground, seed: int = 1) -> Indication:
+def only(ground: Ground, seed: int = 1) -> BoreIndication:
     (one,) = found(ground, seed).indications
     return one
 
@@ -34,10 +34,10 @@ def test_pipe_a_is_found_with_air_pipe_b_with_its_side_and_pipe_c_never(seed: in
     """The three pipes of Figure 10.6: an 8-inch sewer that a pipe passes through, half into, and beside."""
     phi = 90.0 + 30.0 * (seed - 4)  # straight up it would be a sewer half full
     through = only(replace(PLAIN, bores=(Bore(3000.0, 101.0),)), seed)
-    assert through.kind is Kind.AIR and np.isnan(through.phi_deg)
+    assert through.kind is BoreKind.AIR and np.isnan(through.phi_deg)
     assert through.odometer_mm == pytest.approx(3006, abs=15) and through.extent_mm == pytest.approx(200, abs=40)
     half = only(replace(PLAIN, bores=(Bore(3000.0, 101.0, 101.0, phi),)), seed)
-    assert half.kind is Kind.AIR and half.odometer_mm == pytest.approx(3006, abs=20)
+    assert half.kind is BoreKind.AIR and half.odometer_mm == pytest.approx(3006, abs=20)
     assert abs((half.phi_deg - phi + 180) % 360 - 180) < 25
     for clear in (10.0, 50.0):
         assert not found(replace(PLAIN, bores=(Bore(3000.0, 101.0, 145.5 + clear, phi),)), seed).bores
@@ -48,7 +48,7 @@ def test_pipe_a_is_found_with_air_pipe_b_with_its_side_and_pipe_c_never(seed: in
 @pytest.mark.parametrize("pose", [False, True])
 def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
     one = only(replace(PLAIN, soils=(eps,), couplings_mm=(3000.0,), pose=pose), 3)
-    assert one.kind is Kind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
+    assert one.kind is BoreKind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
 
 
 @pytest.mark.deep(but=1)
@@ -61,7 +61,7 @@ def test_a_couplings_transient_says_how_fast_the_head_was(seed: int) -> None:
     true = float(np.ptp(rows.odometer_mm[at]) / np.ptp(rows.t_s[at]))
     for scale in (1.0, 1.2):
         grid = on_grid(replace(rows, odometer_mm=scale * rows.odometer_mm))
-        (one,) = (i for i in detect(grid, joints_mm=[scale * 3006]).indications if i.kind is Kind.COUPLING)
+        (one,) = (i for i in detect(grid, joints_mm=[scale * 3006]).indications if i.kind is BoreKind.COUPLING)
         transient, odometer = one.speed_mm_s
         assert transient == pytest.approx(true, rel=0.25) and odometer == pytest.approx(scale * true, rel=0.1)
 
@@ -87,16 +87,16 @@ def test_a_bore_at_the_end_of_a_log_is_not_judged_and_that_is_said() -> None:
 def test_hollows_and_beads_have_their_names() -> None:
     ground = replace(PLAIN, voids=((2000.0, 25.0, 100.0),), beads_mm=(4000.0,))
     kinds = [(one.kind, round(one.odometer_mm, -2)) for one in found(ground, 2).indications]
-    assert kinds == [(Kind.VOID, 2000), (Kind.BEAD, 4000)]
+    assert kinds == [(BoreKind.VOID, 2000), (BoreKind.BEAD, 4000)]
 
 
 def test_water_is_told_in_dry_soil_or_by_its_loss_and_where_it_cannot_be_that_is_said() -> None:
     bore = (Bore(3000.0, 76.0, fill="water"),)
-    assert only(replace(PLAIN, soils=(4.0,), bores=bore)).kind is Kind.WATER
+    assert only(replace(PLAIN, soils=(4.0,), bores=bore)).kind is BoreKind.WATER
     wet = replace(PLAIN, soils=(28.0,), bores=bore)
     blind, told = found(replace(wet, uneven=0.1)), found(replace(wet, loss=True))
-    assert blind.water_told_mm == 0 and not any(one.kind is Kind.AIR for one in blind.bores)
-    assert [one.kind for one in told.bores] == [Kind.WATER] and told.water_told_mm > 5900
+    assert blind.water_told_mm == 0 and not any(one.kind is BoreKind.AIR for one in blind.bores)
+    assert [one.kind for one in told.bores] == [BoreKind.WATER] and told.water_told_mm > 5900
 
 
 def test_over_many_pipes_most_are_found_none_is_made_up_and_no_near_miss_reported() -> None:

@@ -8,14 +8,31 @@ import numpy as np
 import pytest
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.crossbore.measure.elements import EPS0_PF_PER_MM, Field, graded, grid_of, permittivity, solve
-from annulus_pipe.wings.crossbore.measure.field import AIR, SOIL, WATER, Along, Bore, Head, Section, along, sectors
+from annulus_pipe.wings.crossbore.measure.elements import (
+    EPS0_PF_PER_MM,
+    ElectrodeField,
+    graded,
+    grid_of,
+    permittivity,
+    solve,
+)
+from annulus_pipe.wings.crossbore.measure.field import (
+    AIR,
+    SOIL,
+    WATER,
+    Along,
+    CrossSection,
+    HeadGeometry,
+    StraightBore,
+    along,
+    sectors,
+)
 
 WALL, WET = 2.25, permittivity(20.0, 0.01)
 INNER, MIDDLE, OUTER = 10.0, 14.0, 20.0
 
 
-def cylinder(kind: str, fine: int = 1) -> Field:
+def cylinder(kind: str, fine: int = 1) -> ElectrodeField:
     """Two conductors 10 and 20 mm in radius, PE up to 14 mm and wet soil from there."""
     rho, phi = np.linspace(INNER, OUTER, 20 * fine + 1), np.linspace(0, 2 * np.pi, 72 * fine + 1)
     grid = grid_of([rho, phi if kind == "rp" else np.linspace(0.0, 5.0, 4)], kind)
@@ -42,9 +59,9 @@ def test_loss_of_soil_is_its_conductivity_over_omega_eps0() -> None:
     assert permittivity(20, 0.01, 65e6).imag == pytest.approx(-2.766, abs=0.001)
 
 
-def three_plates() -> Field:
+def three_plates() -> ElectrodeField:
     """Each sector alone at 1 V in a quarter-turned soil with a bore beside it: nothing symmetric."""
-    case = Section(soil=WET, bore=Bore(AIR, 60.0, 55.0, 80.0))
+    case = CrossSection(soil=WET, bore=StraightBore(AIR, 60.0, 55.0, 80.0))
     driven = sectors(case).field
     grid, own = driven.grid, driven.grid.axes
     angle = np.degrees(own[:, 1])
@@ -71,7 +88,7 @@ def test_energy_is_half_c_v_squared_and_sensitivities_add_up() -> None:
 
 
 def test_sensitivity_of_the_wall_is_the_change_with_its_permittivity() -> None:
-    plain = Section(shield=False)
+    plain = CrossSection(shield=False)
     found = sectors(plain).field
     rho = found.grid.middle[:, 0]
     wall = (rho > plain.pipe.inner_mm) & (rho < plain.pipe.outer_mm)
@@ -86,7 +103,7 @@ def test_sensitivity_of_the_wall_is_the_change_with_its_permittivity() -> None:
 
 def test_halving_the_mesh_moves_no_reading_by_a_hundredth() -> None:
     for soil, shield in ((AIR, True), (SOIL, True), (SOIL, False)):
-        across = [sectors(Section(soil=soil, shield=shield, fine=fine)).pf for fine in (1, 2)]
+        across = [sectors(CrossSection(soil=soil, shield=shield, fine=fine)).pf for fine in (1, 2)]
         assert np.abs(across[1] / across[0] - 1).max() < 0.01
         pairs = [along(Along(soil, soil, shield=shield, fine=fine)) for fine in (1, 2)]
         assert pairs[1].differential_pf == pytest.approx(pairs[0].differential_pf, rel=0.01)
@@ -127,33 +144,35 @@ def test_a_bore_of_three_inches_is_seen_and_a_boundary_passes_without_a_jump() -
 
 
 def test_a_head_off_its_axis_reads_more_where_it_is_nearer() -> None:
-    air, soil, off = (sectors(one).pf for one in (Section(soil=AIR), Section(), Section(off_mm=(1.0, 0.0))))
+    air, soil, off = (
+        sectors(one).pf for one in (CrossSection(soil=AIR), CrossSection(), CrossSection(off_mm=(1.0, 0.0)))
+    )
     assert off[0] > soil[0] > off[1] == pytest.approx(off[2], rel=1e-3)
     assert 0.1 < (off[0] - soil[0]) / (soil[0] - air[0]) < 0.5
 
 
 def test_across_the_pipe_a_half_bore_is_of_the_sectors_that_face_it() -> None:
-    whole = sectors(Section()).pf - sectors(Section(bore=Bore())).pf
-    half = sectors(Section()).pf - sectors(Section(bore=Bore(offset_mm=76.0))).pf
+    whole = sectors(CrossSection()).pf - sectors(CrossSection(bore=StraightBore())).pf
+    half = sectors(CrossSection()).pf - sectors(CrossSection(bore=StraightBore(offset_mm=76.0))).pf
     assert half[1] > 0.8 * whole[1]
     assert 0.2 * whole[0] < half[0] < 0.6 * whole[0]
     assert half[2] < 0.1 * whole[2]
 
 
 def test_a_roll_turns_the_sectors_with_the_head() -> None:
-    bore = Bore(offset_mm=76.0)
-    turned = sectors(Section(bore=bore, roll_deg=120.0)).pf
-    assert turned[0] == pytest.approx(sectors(Section(bore=bore)).pf[1], rel=2e-3)
+    bore = StraightBore(offset_mm=76.0)
+    turned = sectors(CrossSection(bore=bore, roll_deg=120.0)).pf
+    assert turned[0] == pytest.approx(sectors(CrossSection(bore=bore)).pf[1], rel=2e-3)
 
 
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: sectors(Section(off_mm=(6.0, 0.0))), "6 mm off the axis"),
-        (lambda: Head(sector_deg=120.0), "sectors of 120 deg"),
-        (lambda: Head(overlap_mm=6.0), "shields that do not touch"),
+        (lambda: sectors(CrossSection(off_mm=(6.0, 0.0))), "6 mm off the axis"),
+        (lambda: HeadGeometry(sector_deg=120.0), "sectors of 120 deg"),
+        (lambda: HeadGeometry(overlap_mm=6.0), "shields that do not touch"),
         (lambda: along(Along(from_mm=3.0, to_mm=3.0)), "expected lengths above 0"),
-        (lambda: sectors(Section(fine=0.0)), "expected above 0"),
+        (lambda: sectors(CrossSection(fine=0.0)), "expected above 0"),
     ],
 )
 def test_a_shape_that_is_none_is_told(make: object, told: str) -> None:
@@ -164,7 +183,7 @@ def test_a_shape_that_is_none_is_told(make: object, told: str) -> None:
 def test_a_missing_extra_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(AnnulusError, match='the extra "crossbore"'):
-        sectors(Section())
+        sectors(CrossSection())
 
 
 def test_nodes_lie_on_every_mark() -> None:

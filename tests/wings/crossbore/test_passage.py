@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from annulus_pipe.wings.crossbore.ground import Bore, Drawn, Ground, log
-from annulus_pipe.wings.crossbore.measure import Indication, Kind, Passage, detect, likely, on_grid
+from annulus_pipe.wings.crossbore.measure import BoreIndication, BoreKind, Passage, detect, likely, on_grid
 from annulus_pipe.wings.crossbore.measure.grid import Log
 from annulus_pipe.wings.crossbore.measure.odds import COUNTED, odds
 
@@ -34,7 +34,7 @@ def test_what_three_sensors_say_finds_the_bore_where_the_log_does() -> None:
     told(passage, drawn)
     (run,) = passage.runs()
     (one,), (same,) = detect(on_grid(run.log)).bores, detect(on_grid(drawn.rows())).bores
-    assert run.rolled[10:-10].all() and one.kind is same.kind is Kind.AIR
+    assert run.rolled[10:-10].all() and one.kind is same.kind is BoreKind.AIR
     assert one.odometer_mm - 40.0 == pytest.approx(same.odometer_mm, abs=8.0)
     assert one.phi_deg == pytest.approx(same.phi_deg, abs=8.0) and one.arc_deg < 360.0
 
@@ -109,29 +109,29 @@ def test_a_joint_that_the_rings_saw_explains_what_is_alike_all_round() -> None:
     """In soil so dry that a coupling takes off as much as air would, by a head that was told of another pipe's."""
     ground = Ground(6000.0, soils=(4.0,), couplings_mm=(3000.0,))
     grid = on_grid(log(ground, 3).rows())
-    from annulus_pipe.wings.crossbore.measure import Head
+    from annulus_pipe.wings.crossbore.measure import CapacitiveHead
 
-    strange = Head(coupling_ff=250.0)  # of another pipe
-    assert [one.kind for one in detect(grid, strange).indications] != [Kind.COUPLING]
-    assert [one.kind for one in detect(grid, strange, joints_mm=[3010.0]).indications] == [Kind.COUPLING]
+    strange = CapacitiveHead(coupling_ff=250.0)  # of another pipe
+    assert [one.kind for one in detect(grid, strange).indications] != [BoreKind.COUPLING]
+    assert [one.kind for one in detect(grid, strange, joints_mm=[3010.0]).indications] == [BoreKind.COUPLING]
     assert not detect(grid, strange, joints_mm=[3010.0]).bores
     sewer = on_grid(log(GROUND, 4).rows())
     assert detect(sewer, joints_mm=[3000.0]).bores  # a sewer on one side is no joint
 
 
-@given(st.sampled_from(list(Kind)), st.floats(0.0, 1.2), st.booleans(), st.sampled_from([math.nan, -30.0]))
-def test_odds_are_of_everything_and_never_certain(kind: Kind, part: float, side: bool, loss: float) -> None:
+@given(st.sampled_from(list(BoreKind)), st.floats(0.0, 1.2), st.booleans(), st.sampled_from([math.nan, -30.0]))
+def test_odds_are_of_everything_and_never_certain(kind: BoreKind, part: float, side: bool, loss: float) -> None:
     found = odds(str(kind), part, side, loss)
-    if kind in (Kind.UNKNOWN, Kind.VOID, Kind.BEAD):
+    if kind in (BoreKind.UNKNOWN, BoreKind.VOID, BoreKind.BEAD):
         assert found == {}
         return
     assert sum(found.values()) == pytest.approx(1.0) and min(found.values()) > 0 and max(found.values()) < 1
-    one = Indication(0.0, kind, 100.0, math.nan, math.nan, np.zeros(3), odds=found)
+    one = BoreIndication(0.0, kind, 100.0, math.nan, math.nan, np.zeros(3), odds=found)
     assert 0.0 < likely(one) < 1.0
 
 
 def test_what_nobody_counted_has_no_probability() -> None:
-    assert math.isnan(likely(Indication(0.0, Kind.UNKNOWN, 100.0, math.nan, math.nan, np.zeros(3))))
+    assert math.isnan(likely(BoreIndication(0.0, BoreKind.UNKNOWN, 100.0, math.nan, math.nan, np.zeros(3))))
     assert all(sum(twin) > 10 and sum(other) > 0 for twin, other in COUNTED.values())
 
 

@@ -9,7 +9,7 @@ from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure import Points, View, heights, merged, noise_of, spline, untextured
+from annulus_pipe.wings.fringe.measure import FringeView, Points, heights, merged, noise_of, spline, untextured
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED
 
 EVEN = np.arange(8) * 1.0
@@ -17,8 +17,8 @@ UNEVEN = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])
 GRID = Points.plate(np.arange(0.0, 30.0, 0.5), np.arange(-12.0, 12.0, 0.5), DISTANCE_MM)
 
 
-def view(moved: FloatArray, head=LEFT) -> View:  # type: ignore[no-untyped-def]
-    return View.of(head, SLIDE, moved[:, None] * [1.0, 0.0, 0.0])
+def view(moved: FloatArray, head=LEFT) -> FringeView:  # type: ignore[no-untyped-def]
+    return FringeView.of(head, SLIDE, moved[:, None] * [1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("moved", [EVEN, UNEVEN, EVEN[:3], EVEN[:4]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
-from annulus_pipe.wings.fringe.measure import Points, View, spline, told_elsewhere
+from annulus_pipe.wings.fringe.measure import FringeView, Points, spline, told_elsewhere
 
 MOVED = np.array([0.0, 0.9, 2.1, 3.2])
 GRID = Points.plate(np.arange(-8.0, 38.0, 0.6), np.arange(-14.0, 14.0, 0.6), DISTANCE_MM)
@@ -14,7 +14,7 @@ FRINGE_MM = DISTANCE_MM * (1 - 1 / 1.2)  # of height: 20 mm / (0.04 (100 - h)) i
 def told(height_mm: float, specks: float) -> tuple[float, float, float] | None:
     motion = MOVED[:, None] * np.array([1.0, 0.0, 0.0])
     views = [
-        (View.of(head, SLIDE, motion), spline(drawn(MOVED, height_mm, noise=0.5, specks=specks, head=head)))
+        (FringeView.of(head, SLIDE, motion), spline(drawn(MOVED, height_mm, noise=0.5, specks=specks, head=head)))
         for head in (LEFT, RIGHT)
     ]
     return told_elsewhere(views, GRID, drift_sigma=0.1)

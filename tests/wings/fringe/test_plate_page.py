@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus_pipe.report import Account
+from annulus_pipe.report import ScanAccount
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 
@@ -30,7 +30,7 @@ def test_a_plate_of_which_no_height_is_told_says_so(tmp_path: Path) -> None:
         (),
         {},
     )
-    summary = write_plate(plate, Account("a dark plate", {"projector": 4}, {}, {}), tmp_path)
+    summary = write_plate(plate, ScanAccount("a dark plate", {"projector": 4}, {}, {}), tmp_path)
     assert summary["height_mm"] == {"min": None, "median": None, "max": None} and summary["points"] == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "of no place could a height be told" in page

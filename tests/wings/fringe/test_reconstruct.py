@@ -13,7 +13,7 @@ from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
 from annulus_pipe.cli import main
 from annulus_pipe.geometry.calibration import Calibration, HeadCamera, camera_to_dict
-from annulus_pipe.report import Account
+from annulus_pipe.report import ScanAccount
 from annulus_pipe.reprocess import open_job
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe import plate as module
@@ -105,7 +105,7 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     assert np.nanmedian(plate.height_mm) == pytest.approx(1.0, abs=0.02)
     off = (plate.height_mm[told] - 1.0) / plate.sigma_mm[told]
     assert np.mean(np.abs(off) < 2) > 0.9
-    summary = write_plate(plate, Account("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
+    summary = write_plate(plate, ScanAccount("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
     assert summary["points"] == told.sum()
     with np.load(tmp_path / "out" / "depth.npz") as depth:
         assert depth["height_mm"].shape == (len(depth["y_mm"]), len(depth["x_mm"])) == depth["sigma_mm"].shape
@@ -119,14 +119,14 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
 def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WINDOW", 6)
     held = []
-    read = module._Frames.of
+    read = module._WindowFrames.of
 
     def counted(self: Any, one: Any, start: int) -> Any:
         out = read(self, one, start)
         held.append(len(self._held))
         return out
 
-    monkeypatch.setattr(module._Frames, "of", counted)
+    monkeypatch.setattr(module._WindowFrames, "of", counted)
     places = tuple(np.arange(14) * 1.1)
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", places, heads=(LEFT,)), calibration(tmp_path)))
     assert max(held) <= 6
@@ -188,7 +188,7 @@ def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
     assert np.median(told) == pytest.approx(1.0, abs=0.02)
     off = (told - 1.0) / plate.sigma_mm[np.isfinite(plate.height_mm)]
     assert np.mean(np.abs(off) < 2) > 0.9
-    summary = write_plate(plate, Account("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
+    summary = write_plate(plate, ScanAccount("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
     assert summary["by"] == "cameras"
     assert "By two cameras" in (tmp_path / "out" / "report.html").read_text()
 

@@ -10,15 +10,15 @@ import pytest
 from bores import LENS, RADIUS_MM, SLIDE
 
 from annulus_pipe.geometry.calibration import camera_to_dict
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wings.fringe import calibrate_pipe as calibrate
 from annulus_pipe.wings.fringe import pipe as module
 from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe
-from annulus_pipe.wings.fringe.measure import PipeCalibration, PipeMap, projector_to_dict
+from annulus_pipe.wings.fringe.measure import CleanPipeFit, PipeMap, projector_to_dict
 from annulus_pipe.wings.fringe.measure.bore import TERMS
-from annulus_pipe.wings.fringe.measure.placement import Head
+from annulus_pipe.wings.fringe.measure.placement import PlacedHead
 from annulus_pipe.wings.fringe.pipe import open_fringe_pipe, reconstruct_fringe_pipe
 
 STEP = RADIUS_MM / 200
@@ -107,7 +107,7 @@ def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch:
     """A radius half as large leaves 0.42 of the swing in the ray-traced pipe, the right one 0.02."""
     aside = scan(tmp_path / "aside", "z_mm,tx_mm,ty_mm", ["0,0,0", "0,3,0", "0,0,3"])
     for misfit, wrong in ((8.0, True), (0.5, False)):
-        found = PipeCalibration(SLIDE, np.ones(7), np.eye(7), np.zeros(6), misfit, 3)
+        found = CleanPipeFit(SLIDE, np.ones(7), np.eye(7), np.zeros(6), misfit, 3)
         monkeypatch.setattr(calibrate, "calibrate_pipe", lambda *_, found=found: found)
         if wrong:
             with pytest.raises(AnnulusError, match="do not show this slide in a pipe of 60 mm radius"):
@@ -135,7 +135,7 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
             radius[:4] -= 9.0
         poses = np.zeros((len(z_mm), 6))
         poses[:, 5] = z_mm
-        head = Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((1, 3, TERMS)), RADIUS_MM)
+        head = PlacedHead(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((1, 3, TERMS)), RADIUS_MM)
         few, none = np.full(shape, 8), np.zeros(shape)
         return PipeMap(
             rows,
@@ -165,6 +165,6 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
     assert loss.kind is Kind.LOSS
     assert loss.depth_mm == pytest.approx(0.5, abs=0.03)
     assert (loss.z_mm, loss.clock_deg) == pytest.approx((108.0, 180.0), abs=0.5)
-    summary = write(found.survey, Account("here", {}, {}, {}), tmp_path / "out", depth={"z_mm": found.map.z_mm})
+    summary = write(found.survey, ScanAccount("here", {}, {}, {}), tmp_path / "out", depth={"z_mm": found.map.z_mm})
     assert summary["diameter_mm"]["mean"] == pytest.approx(2 * RADIUS_MM, abs=0.02)
     assert np.load(tmp_path / "out" / "depth.npz")["z_mm"].shape == found.map.z_mm.shape

@@ -7,7 +7,7 @@ import numpy as np
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.wings.fringe.measure import Points, View, heights, spline, stream
+from annulus_pipe.wings.fringe.measure import FringeView, Points, heights, spline, stream
 from annulus_pipe.wings.fringe.measure.track import GOOD
 
 STEP_MM = 9.0
@@ -36,7 +36,7 @@ def peak(count: int) -> int:
 
 
 def test_strips_are_as_from_all_frames_at_once() -> None:
-    view = View.of(LEFT, SLIDE, np.arange(14)[:, None] * STEP_MM * AHEAD)
+    view = FringeView.of(LEFT, SLIDE, np.arange(14)[:, None] * STEP_MM * AHEAD)
     images = spline(drawn(np.arange(14) * STEP_MM, 1.0))
     whole = 0
     for points, found in stream(frames(14), LEFT, SLIDE, strips(140.0)):

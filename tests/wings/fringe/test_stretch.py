@@ -5,7 +5,7 @@ import pytest
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
 from annulus_pipe.numeric.arrays import Float32Array
-from annulus_pipe.wings.fringe.measure import Points, View, spline
+from annulus_pipe.wings.fringe.measure import FringeView, Points, spline
 from annulus_pipe.wings.fringe.measure.stretch import _shift, stretch
 
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -25,7 +25,7 @@ def images() -> Float32Array:
 
 def found(images: Float32Array, factor: float) -> tuple[float, float]:
     place = TRUE / factor
-    return stretch(View.of(LEFT, SLIDE, place[:, None] * AHEAD), images, GRID, FLAT, place, AHEAD)
+    return stretch(FringeView.of(LEFT, SLIDE, place[:, None] * AHEAD), images, GRID, FLAT, place, AHEAD)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.03, 0.97, 1 / 1.05])
@@ -54,12 +54,12 @@ def test_a_plain_wall_or_one_wave_tells_nothing(texture: float) -> None:
 
 
 def test_a_motion_too_short_to_be_seen_tells_nothing(images: Float32Array) -> None:
-    assert stretch(View.of(LEFT, SLIDE, TRUE[:3, None] * AHEAD), images[:3], GRID, FLAT, TRUE[:3], AHEAD) == (
+    assert stretch(FringeView.of(LEFT, SLIDE, TRUE[:3, None] * AHEAD), images[:3], GRID, FLAT, TRUE[:3], AHEAD) == (
         1.0,
         np.inf,
     )
 
 
 def test_a_wall_without_heights_tells_nothing(images: Float32Array) -> None:
-    view = View.of(LEFT, SLIDE, TRUE[:, None] * AHEAD)
+    view = FringeView.of(LEFT, SLIDE, TRUE[:, None] * AHEAD)
     assert stretch(view, images, GRID, FLAT * np.nan, TRUE, AHEAD) == (1.0, np.inf)

@@ -14,7 +14,7 @@ from test_reconstruct import calibration, scan
 
 from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.ranges import FOLDER
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.wings.fringe.heads import series_world
 from annulus_pipe.wings.fringe.job import open_fringe
@@ -33,9 +33,9 @@ def same(one: Plate, other: Plate) -> bool:
 
 def test_a_window_is_the_same_bits_elsewhere_and_is_measured_once(tmp_path: Path) -> None:
     job = open_fringe(scan(tmp_path / "scan", PLACES.tolist(), heads=(LEFT,)), calibration(tmp_path))
-    place = Place(tmp_path / "kept")
+    place = StoragePath(tmp_path / "kept")
 
-    def measured(executor: Executor, place: Place | None = None) -> tuple[Plate, int]:
+    def measured(executor: Executor, place: StoragePath | None = None) -> tuple[Plate, int]:
         plate = reconstruct_fringe(job, None, executor, place)
         assert plate.windows == 2
         return plate, plate.made
@@ -87,5 +87,5 @@ def test_reprocess_makes_one_hash_in_one_process_in_two_and_on_a_cluster(tmp_pat
     for name, engine in engines.items():
         command("reprocess", tmp_path / "scan", *given, "-o", tmp_path / name, *engine)
         hashes[name] = results_hash(tmp_path / name / "scan")
-        assert len(Place(tmp_path / name / "scan").names(f"{FOLDER}/")) > 1
+        assert len(StoragePath(tmp_path / name / "scan").names(f"{FOLDER}/")) > 1
     assert len(set(hashes.values())) == 1, hashes

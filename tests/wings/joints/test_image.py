@@ -10,7 +10,7 @@ from joint_scene import VOXEL, Scene
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure import ArrayVolume, JointImage, features, image, summary
-from annulus_pipe.wings.joints.measure.axis import Axis
+from annulus_pipe.wings.joints.measure.axis import VolumeAxis
 from annulus_pipe.wings.joints.measure.unwrap import planes
 from annulus_pipe.wings.joints.measure.zone import Shape, _model
 
@@ -113,7 +113,7 @@ def test_a_rod_and_a_pipe_without_a_joint_are_refused() -> None:
 
 def test_planes_are_at_right_angles_to_the_axis() -> None:
     """A field that grows along the axis only is one value all over each plane, and the same in other slabs."""
-    axis = Axis(6.0, 6.0, 0.05, -0.03)
+    axis = VolumeAxis(6.0, 6.0, 0.05, -0.03)
     along = axis.frame()[2]
     z, y, x = np.meshgrid(*(np.arange(40) * 0.3,) * 3, indexing="ij")
     field = (x - 6.0) * along[0] + (y - 6.0) * along[1] + z * along[2]

@@ -22,10 +22,10 @@ from annulus_pipe.wings.joints.linear_stage import LinearStage
 from annulus_pipe.wings.joints.probe import VisaProbe
 from annulus_pipe.wings.joints.raster_file import read_raster
 from annulus_pipe.wings.joints.raster_log import RasterLog
-from annulus_pipe.wings.joints.scan import Plan, log_of, scan
+from annulus_pipe.wings.joints.scan import RasterPlan, log_of, scan
 from annulus_pipe.wings.joints.simulated import NOISE_MV, QUERIES, GrblStage, NearFieldRig, joint_field
 
-PLAN = Plan(angles=5, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
+PLAN = RasterPlan(angles=5, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
 FEED = 60_000.0
 
 
@@ -39,7 +39,7 @@ def rig_of(**kwargs: object) -> Iterator[tuple[NearFieldRig, LinearStage, VisaPr
         yield rig, carried, probe
 
 
-def truth(plan: Plan) -> np.ndarray:
+def truth(plan: RasterPlan) -> np.ndarray:
     return np.array([[joint_field(a, z)["amplitude_mv"] for a in plan.angle_deg] for z in plan.z_mm])
 
 
@@ -59,7 +59,7 @@ def test_a_meter_that_misses_a_query_is_asked_again_and_one_that_is_gone_ends_it
     out, said = tmp_path / "raster.npz", []
     with rig_of() as (rig, stage, probe):
         rig.deaf = 1
-        short = Plan(angles=3, first_mm=10, last_mm=14, step_mm=4, averages=1, settle_ms=0)
+        short = RasterPlan(angles=3, first_mm=10, last_mm=14, step_mm=4, averages=1, settle_ms=0)
         done = scan(rig.port_url, stage, probe, short, out, say=said.append)
         assert done.retries == 1 and len(said) == 1
         rig.deaf = 10**6
@@ -76,7 +76,7 @@ def test_a_stage_that_stands_still_or_goes_too_far_ends_it(tmp_path: Path) -> No
     assert len(RasterLog.resumed(log_of(tmp_path / "stuck.npz")).points) == 3
     with rig_of() as (rig, stage, probe):
         with pytest.raises(AnnulusError, match=r"ALARM|alarm"):
-            scan(rig.port_url, stage, probe, Plan(first_mm=290.0, last_mm=310.0), tmp_path / "far.npz")
+            scan(rig.port_url, stage, probe, RasterPlan(first_mm=290.0, last_mm=310.0), tmp_path / "far.npz")
         with pytest.raises(AnnulusError, match=r"alarm|error:9"):
             stage.move(10.0)
         stage.home()
@@ -155,7 +155,7 @@ def test_other_settings_another_boot_and_a_full_disk_are_one_line(tmp_path: Path
         RasterLog(log_of(out), {**PLAN_FIELDS, "boot": 7}, ("amplitude_mv", "phase_mv")).close()
         with pytest.raises(AnnulusError, match="controller restarted"):
             scan(rig.port_url, stage, probe, PLAN, out, resume=True)
-        other = Plan(angles=6, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
+        other = RasterPlan(angles=6, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
         with pytest.raises(AnnulusError, match="angles = 5, now 6"):
             scan(rig.port_url, stage, probe, other, out, resume=True, homed=True)
         with pytest.raises(AnnulusError, match="is there already"):

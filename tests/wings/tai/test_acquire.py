@@ -19,7 +19,7 @@ from annulus_pipe.twin.native import NativeBoard
 from annulus_pipe.twin.real_time import serving
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, save_acoustic
-from annulus_pipe.wings.tai.acquire import Acquired, Plan, acquire, stalled
+from annulus_pipe.wings.tai.acquire import Acquired, SweepPlan, acquire, stalled
 from annulus_pipe.wings.tai.decode import sweep_of
 from annulus_pipe.wings.tai.digitizer import ScopeDigitizer
 from annulus_pipe.wings.tai.measure.phantoms import Disc
@@ -27,10 +27,12 @@ from annulus_pipe.wings.tai.measure.sweep import examine
 from annulus_pipe.wings.tai.simulated.phantom import RigSetup
 from annulus_pipe.wings.tai.simulated.receiver import Receiver
 from annulus_pipe.wings.tai.simulated.rig import AcousticRig
-from annulus_pipe.wings.tai.simulated.scope import Scope
+from annulus_pipe.wings.tai.simulated.scope import SimulatedScope
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0), Disc(-3.0, 2.0, 0.7, 0.8))
-PLAN = Plan(positions=5, averages=2, radius_mm=9.0, range_v=0.08, steps_per_turn=40, step_us=100.0, period_us=500.0)
+PLAN = SweepPlan(
+    positions=5, averages=2, radius_mm=9.0, range_v=0.08, steps_per_turn=40, step_us=100.0, period_us=500.0
+)
 
 
 @functools.cache
@@ -53,7 +55,7 @@ class Rig:
         self.bench, self.out = bench, out
         self.said: list[str] = []
 
-    def acquire(self, plan: Plan = PLAN, stop_before: int | None = None, **how) -> Acquired:
+    def acquire(self, plan: SweepPlan = PLAN, stop_before: int | None = None, **how) -> Acquired:
         def progress(_: str, done: int, total: int) -> None:
             if done == stop_before and done < total:
                 raise KeyboardInterrupt
@@ -74,7 +76,7 @@ def rig(board: NativeBoard, tmp_path: Path, request: pytest.FixtureRequest):
         heard = Receiver.__new__(Receiver)
         heard.__dict__.update(receiver().__dict__)
         heard.setup = replace(receiver().setup, stuck_after=how["stuck_after"])
-    bench = AcousticRig(board, heard, Scope(how.get("faults", {})))
+    bench = AcousticRig(board, heard, SimulatedScope(how.get("faults", {})))
     with serving(bench):
         yield Rig(bench, tmp_path / "raw.hdf5")
 

@@ -13,13 +13,13 @@ from annulus_pipe.twin.line import TcpLine
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.digitizer import Acquisition, DigitizerLostError, ScopeDigitizer, TriggerLostError
 from annulus_pipe.wings.tai.simulated import scope as twin
-from annulus_pipe.wings.tai.simulated.scope import Scope
+from annulus_pipe.wings.tai.simulated.scope import SimulatedScope
 
 WANTED = Acquisition(rate_hz=10e6, duration_s=64e-6, range_v=0.4, averages=4, delay_s=2e-6)
 
 
 @contextlib.contextmanager
-def served(scope: Scope, volts: float | None = 0.1) -> Iterator[str]:
+def served(scope: SimulatedScope, volts: float | None = 0.1) -> Iterator[str]:
     """The scope on a socket, triggered as often as it waits; volts None: nobody triggers."""
     line, over = TcpLine(), threading.Event()
 
@@ -63,7 +63,7 @@ def impatient(scope: ScopeDigitizer) -> Iterator[None]:
 
 
 def test_volts_rate_and_time_are_those_of_the_signal() -> None:
-    with served(Scope()) as resource, opened(resource) as scope:
+    with served(SimulatedScope()) as resource, opened(resource) as scope:
         assert "DSO-X 4052A" in scope.name
         scope.configure(WANTED)
         for _ in range(2):
@@ -77,14 +77,14 @@ def test_volts_rate_and_time_are_those_of_the_signal() -> None:
 
 
 def test_a_single_shot_may_be_longer() -> None:
-    with served(Scope()) as resource, opened(resource) as scope:
+    with served(SimulatedScope()) as resource, opened(resource) as scope:
         scope.configure(Acquisition(rate_hz=50e6, duration_s=64e-6, range_v=0.4))
         scope.arm()
         assert len(scope.read().volts) == 5000
 
 
 def test_what_is_beyond_the_range_is_said_to_be_clipped() -> None:
-    with served(Scope(), volts=0.21) as resource, opened(resource) as scope:
+    with served(SimulatedScope(), volts=0.21) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
         trace = scope.read()
@@ -93,14 +93,14 @@ def test_what_is_beyond_the_range_is_said_to_be_clipped() -> None:
 
 
 def test_a_hole_is_no_number() -> None:
-    with served(Scope({0: "hole"})) as resource, opened(resource) as scope:
+    with served(SimulatedScope({0: "hole"})) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
         assert np.flatnonzero(np.isnan(scope.read().volts)).tolist() == list(range(500, 520))
 
 
 def test_triggers_that_never_come_are_one_clear_line_and_it_can_be_used_again() -> None:
-    with served(Scope({0: "deaf"})) as resource, opened(resource) as scope:
+    with served(SimulatedScope({0: "deaf"})) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
         with (
@@ -124,7 +124,7 @@ def test_triggers_that_never_come_are_one_clear_line_and_it_can_be_used_again() 
     ],
 )
 def test_a_scope_that_misbehaves_is_one_line_and_comes_back(fault: str, error: type[Exception], says: str) -> None:
-    with served(Scope({0: fault})) as resource, opened(resource) as scope:
+    with served(SimulatedScope({0: fault})) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
         with impatient(scope), pytest.raises(error, match=says) as raised:
@@ -149,13 +149,13 @@ def test_a_scope_that_misbehaves_is_one_line_and_comes_back(fault: str, error: t
     ],
 )
 def test_a_preamble_is_not_believed(preamble: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = Scope._answer
+    answer = SimulatedScope._answer
 
-    def lying(self: Scope, name: str) -> bytes:
+    def lying(self: SimulatedScope, name: str) -> bytes:
         return preamble.encode() + b"\n" if name == ":WAVEFORM:PREAMBLE" else answer(self, name)
 
-    monkeypatch.setattr(Scope, "_answer", lying)
-    with served(Scope()) as resource, opened(resource) as scope:
+    monkeypatch.setattr(SimulatedScope, "_answer", lying)
+    with served(SimulatedScope()) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
         with pytest.raises(DigitizerLostError):
@@ -164,12 +164,19 @@ def test_a_preamble_is_not_believed(preamble: str, monkeypatch: pytest.MonkeyPat
 
 def test_a_refused_setting_is_said_in_the_scopes_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(twin._LIMITS, ":CHANNEL1:RANGE", (8e-3, 0.1))
-    with served(Scope()) as resource, opened(resource) as scope, pytest.raises(AnnulusError, match="acquisition: -222"):
+    with (
+        served(SimulatedScope()) as resource,
+        opened(resource) as scope,
+        pytest.raises(AnnulusError, match="acquisition: -222"),
+    ):
         scope.configure(WANTED)
 
 
 def test_somebody_else_or_nobody_there_is_one_line() -> None:
-    with served(Scope(name="ACME,TOASTER,1,1")) as resource, pytest.raises(AnnulusError, match="'ACME,TOASTER,1,1'"):
+    with (
+        served(SimulatedScope(name="ACME,TOASTER,1,1")) as resource,
+        pytest.raises(AnnulusError, match="'ACME,TOASTER,1,1'"),
+    ):
         opened(resource)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -6,7 +6,7 @@ from scipy.integrate import simpson
 from scipy.special import j0
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers, rim, time_step_s
+from annulus_pipe.wings.tai.measure.field import Medium, Solver, SoundGrid, receivers, rim, time_step_s
 
 C = 1500.0
 
@@ -30,7 +30,7 @@ def error(found, truth):
 @pytest.mark.parametrize(("dtype", "bound"), [(np.float32, 5e-6), (np.float64, 3e-6)])
 def test_a_gaussian_sounds_as_theory_says(dtype, bound):
     """Through the absorbing layer and to the end of the record; on a cell and between cells."""
-    grid = Grid((160, 144), 0.1)
+    grid = SoundGrid((160, 144), 0.1)
     solver = Solver(grid, Medium(C), dtype=dtype)
     points = np.array([[grid.x_mm[100], grid.y_mm[80]], [2.317, -1.773]])
     traces = solver.forward(gaussian(grid, 0.4), receivers(grid, points), steps=420)
@@ -41,7 +41,7 @@ def test_a_gaussian_sounds_as_theory_says(dtype, bound):
 
 def test_a_pulse_of_any_shape_is_the_same_as_its_convolution():
     """p with I(t) is the integral over I of the initial value problem, half a step apart."""
-    grid = Grid((128, 128), 0.1)
+    grid = SoundGrid((128, 128), 0.1)
     solver = Solver(grid, Medium(C), dtype=np.float64)
     ears = receivers(grid, np.array([[3.0, 1.0]]))
     envelope = np.zeros(60)
@@ -61,7 +61,7 @@ def test_a_pulse_of_any_shape_is_the_same_as_its_convolution():
 @pytest.mark.deep(gate="tests/wings/tai/test_field.py::test_a_gaussian_sounds_as_theory_says")
 def test_a_denser_slower_layer_reflects_as_impedances_say():
     """Plane pulse on a step of rho c: (Z2 - Z1) / (Z2 + Z1)."""
-    grid = Grid((48, 640), 0.1)
+    grid = SoundGrid((48, 640), 0.1)
     x = np.broadcast_to(grid.x_mm, grid.shape)
     medium = Medium(np.where(x > 5.0, 2000.0, C), np.where(x > 5.0, 1200.0, 1000.0))
     solver = Solver(grid, medium, dtype=np.float64)
@@ -79,7 +79,7 @@ def test_a_denser_slower_layer_reflects_as_impedances_say():
 
 
 def test_what_leaves_does_not_come_back():
-    grid = Grid((96, 96), 0.1)
+    grid = SoundGrid((96, 96), 0.1)
     solver = Solver(grid, Medium(C), dtype=np.float64)
     steps = 900
     trace = solver.forward(gaussian(grid, 0.5), receivers(grid, np.array([[2.0, 0.0]])), steps)[0]
@@ -89,7 +89,7 @@ def test_what_leaves_does_not_come_back():
 
 
 def test_reversed_time_brings_the_source_back():
-    grid = Grid((120, 120), 0.12)
+    grid = SoundGrid((120, 120), 0.12)
     solver = Solver(grid, Medium(C))
     source = gaussian(grid, 0.6)
     cells, angles = rim(grid, 4.5)
@@ -101,7 +101,7 @@ def test_reversed_time_brings_the_source_back():
 
 
 def test_a_face_hears_the_mean_of_its_points():
-    grid = Grid((80, 80), 0.1)
+    grid = SoundGrid((80, 80), 0.1)
     field = np.random.default_rng(1).random(grid.shape)
     face = np.array([[[0.11, 0.2], [0.5, -0.3]]])
     apart = receivers(grid, face[0]) @ field.ravel()
@@ -109,7 +109,7 @@ def test_a_face_hears_the_mean_of_its_points():
 
 
 def test_bad_input_is_one_line():
-    grid = Grid((80, 80), 0.1)
+    grid = SoundGrid((80, 80), 0.1)
     with pytest.raises(AnnulusError, match="outside the grid"):
         receivers(grid, np.array([[9.0, 0.0]]))
     with pytest.raises(AnnulusError, match="too long"):
@@ -119,7 +119,7 @@ def test_bad_input_is_one_line():
     with pytest.raises(AnnulusError, match="does not fit"):
         rim(grid, 5.0)
     with pytest.raises(AnnulusError, match="cells"):
-        Grid((20, 20), 0.1)
+        SoundGrid((20, 20), 0.1)
     solver = Solver(grid, Medium(C))
     with pytest.raises(AnnulusError, match="source"):
         solver.forward(np.zeros((3, 3)), receivers(grid, np.zeros((1, 2))), 5)

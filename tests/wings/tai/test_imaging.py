@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.measure.agreement import disagreeing, search_sound_speed
-from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers
+from annulus_pipe.wings.tai.measure.field import Medium, Solver, SoundGrid, receivers
 from annulus_pipe.wings.tai.measure.imaging import Region, back_projection, pixel_mm, time_reversal
 from annulus_pipe.wings.tai.measure.sweep import Sweep, examine, gaps_deg, usable, without_coupling
 
@@ -23,7 +23,7 @@ def body(x, y, dx):
 @pytest.fixture(scope="module")
 def sweep():
     """50 positions; a finer grid than any image's, and off its cells."""
-    grid = Grid((224, 224), 0.15)
+    grid = SoundGrid((224, 224), 0.15)
     shift = np.array([0.031, 0.017])
     y, x = np.meshgrid(grid.y_mm + shift[1], grid.x_mm + shift[0], indexing="ij")
     angles = np.arange(50) * 7.2

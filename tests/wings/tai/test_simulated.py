@@ -18,7 +18,7 @@ from annulus_pipe.wings.tai.simulated.phantom import RigSetup
 from annulus_pipe.wings.tai.simulated.pins import fire, pulses_of
 from annulus_pipe.wings.tai.simulated.receiver import Receiver
 from annulus_pipe.wings.tai.simulated.rig import AcousticRig
-from annulus_pipe.wings.tai.simulated.scope import Scope
+from annulus_pipe.wings.tai.simulated.scope import SimulatedScope
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
 BAND = (0.6e6, 0.7)
@@ -107,7 +107,7 @@ def test_angles_between_the_receivers_are_as_exact_as_those_on_them() -> None:
 
 def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: NativeBoard) -> None:
     """Told by SCPI and by the wire alone: two bursts averaged at step 37, at the trigger's edge."""
-    bench = AcousticRig(board, receiver(), Scope(), boot=3)
+    bench = AcousticRig(board, receiver(), SimulatedScope(), boot=3)
     try:
         bench.scope.receive(
             b":TIM:RANG 4E-5;:TIMebase:POSition 2E-5\n:chan1:rang 4;:TRIG:EDGE:SOUR EXT;:TRIG:EDGE:LEV 1.5\n"
@@ -136,9 +136,9 @@ class _Wire:
     """A host that only tells, and goes on when time has passed."""
 
     def __init__(self, bench: AcousticRig) -> None:
-        from annulus_pipe.link.session import Session, identify
+        from annulus_pipe.link.session import LinkSession, identify
 
-        self.bench, self.session = bench, Session()
+        self.bench, self.session = bench, LinkSession()
         self.tell(identify())
 
     def tell(self, command, wait: int = 200_000) -> None:
@@ -151,18 +151,18 @@ class _Wire:
 
 
 def test_a_trigger_the_scope_was_not_set_to_see_is_not_seen() -> None:
-    scope = Scope()
+    scope = SimulatedScope()
     scope.receive(b":TRIG:EDGE:SOUR EXT;:TRIG:EDGE:LEV 1.5;:DIG CHAN1\n")
     assert scope.triggered_by(1) and not scope.triggered_by(0)
     for setting in (b":TRIG:EDGE:LEV 5", b":TRIG:EDGE:SOUR CHAN1", b":TRIG:EDGE:SLOP NEG"):
-        scope = Scope()
+        scope = SimulatedScope()
         scope.receive(b":TRIG:EDGE:SOUR EXT;:TRIG:EDGE:LEV 1.5;" + setting + b";:DIG CHAN1\n")
         assert not scope.triggered_by(1)
     assert scope.triggered_by(0)
 
 
 def test_the_scope_says_what_it_does_not_understand() -> None:
-    scope = Scope()
+    scope = SimulatedScope()
     assert scope.receive(b":CHAN1:RANG 1000;:FOO:BAR 3;:ACQ:COUN many;*IDN?\n").startswith(b"KEYSIGHT")
     answers = scope.receive(b":SYST:ERR?;:SYST:ERR?;:SYSTem:ERRor?;:SYST:ERR?\n").decode().split("\n")
     assert [int(a.split(",")[0]) for a in answers[:4]] == [-222, -113, -104, 0]

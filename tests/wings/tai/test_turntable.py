@@ -16,7 +16,7 @@ from annulus_pipe.wings.tai.measure.phantoms import Disc
 from annulus_pipe.wings.tai.simulated.phantom import RigSetup
 from annulus_pipe.wings.tai.simulated.receiver import Receiver
 from annulus_pipe.wings.tai.simulated.rig import AcousticRig
-from annulus_pipe.wings.tai.simulated.scope import Scope
+from annulus_pipe.wings.tai.simulated.scope import SimulatedScope
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def port(receiver: Receiver) -> Iterator[str]:
         board = NativeBoard()
     except AnnulusError as error:
         pytest.skip(str(error))
-    bench = AcousticRig(board, receiver, Scope({}))
+    bench = AcousticRig(board, receiver, SimulatedScope({}))
     with serving(bench):
         yield bench.port_url
 

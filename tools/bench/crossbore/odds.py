@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from annulus_pipe.wings.crossbore.ground import Drawn, log, some_ground
-from annulus_pipe.wings.crossbore.measure import BORES, Indication, detect, likely, on_grid
+from annulus_pipe.wings.crossbore.measure import BORES, BoreIndication, detect, likely, on_grid
 from annulus_pipe.wings.crossbore.measure.odds import COUNTED, FATES, called
 from tools.bench.blind.others.crossbore import drawn_log, surveyed
 
@@ -20,7 +20,7 @@ OTHER_SEEDS = [1000 * seed + i for seed in (2, 4, 6, 8) for i in range(10)]  # e
 NEAR_MM = 150.0  # from a sewer's middle: what is called so there is of it
 
 
-def fate(drawn: Drawn, one: Indication) -> str:
+def fate(drawn: Drawn, one: BoreIndication) -> str:
     """What is really there."""
     for bore in drawn.truth()["bores"]:
         if abs(0.5 * (bore["odo0_mm"] + bore["odo1_mm"]) - one.odometer_mm) < NEAR_MM:
@@ -28,11 +28,11 @@ def fate(drawn: Drawn, one: Indication) -> str:
     return "soil"
 
 
-def name(one: Indication) -> str:
+def name(one: BoreIndication) -> str:
     return called(str(one.kind), one.part, math.isfinite(one.phi_deg), math.isfinite(one.loss_ff))
 
 
-def twins(seeds: Iterable[int]) -> Iterator[tuple[Indication, str]]:
+def twins(seeds: Iterable[int]) -> Iterator[tuple[BoreIndication, str]]:
     """What is said along the twin's pipes, and what is really there."""
     for seed in seeds:
         for both in (False, True):
@@ -41,7 +41,7 @@ def twins(seeds: Iterable[int]) -> Iterator[tuple[Indication, str]]:
                 yield one, fate(drawn, one)
 
 
-def others(seeds: Iterable[int]) -> Iterator[tuple[Indication, str]]:
+def others(seeds: Iterable[int]) -> Iterator[tuple[BoreIndication, str]]:
     """The same along the other drawer's."""
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
@@ -53,7 +53,7 @@ def others(seeds: Iterable[int]) -> Iterator[tuple[Indication, str]]:
                 yield one, near[0] if near else "soil"
 
 
-def promised(one: Indication, real: str) -> tuple[float, bool]:
+def promised(one: BoreIndication, real: str) -> tuple[float, bool]:
     """How probable what it is called was said to be, and whether it was so."""
     return likely(one), real == (str(one.kind) if one.kind in BORES else "soil")
 

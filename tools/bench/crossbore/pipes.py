@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from annulus_pipe.wings.crossbore.ground import Bore, Ground, log, some_ground
-from annulus_pipe.wings.crossbore.measure import Kind, detect, on_grid
-from annulus_pipe.wings.crossbore.measure.grid import STEP_MM, Grid
+from annulus_pipe.wings.crossbore.measure import BoreKind, detect, on_grid
+from annulus_pipe.wings.crossbore.measure.grid import STEP_MM, PipeGrid
 from tools.bench.crossbore.odds import fate, others, promised
 from tools.bench.table import Row
 
@@ -43,8 +43,8 @@ def _thousand(pipe: str, offset: float, fill: str) -> Row:
         grid = on_grid(log(Ground(4000.0, bores=(bore,), uneven=0.06), seed).rows())
         bores = detect(grid).bores
         found += bool(bores)
-        air += any(one.kind is Kind.AIR for one in bores)
-        off += [(one.phi_deg - phi + 180) % 360 - 180 for one in bores if one.kind is Kind.AIR]
+        air += any(one.kind is BoreKind.AIR for one in bores)
+        off += [(one.phi_deg - phi + 180) % 360 - 180 for one in bores if one.kind is BoreKind.AIR]
         plain += bool(_threshold(grid))
     told = np.array(off)[np.isfinite(off)]
     turned = f"; direction {np.sqrt(np.mean(told**2)):.0f} deg rms" if pipe == "B" and len(told) else ""
@@ -127,7 +127,7 @@ def _kept(what: str, said: list[tuple[float, bool]]) -> Row:
     )
 
 
-def _threshold(grid: Grid) -> list[float]:
+def _threshold(grid: PipeGrid) -> list[float]:
     """Places, mm, where any sector falls so far below its running median; one each 150 mm."""
     below = grid.c_ff - median_filter(grid.c_ff, (round(1200 / STEP_MM) | 1, 1), mode="nearest")
     places: list[float] = []

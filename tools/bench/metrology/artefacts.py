@@ -14,7 +14,7 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.rings.calibration.reference import learn
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.wall.consistency import without_inconsistent
 from annulus_pipe.wall.defects import find_defects
 from annulus_pipe.wall.grid import Wall, build_wall
@@ -145,9 +145,9 @@ def deepest(profiles: Sequence[Profile]) -> float:
 
 
 FEATURES = (
-    Feature("pocket", z_mm=190.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=40.0),
-    Feature("pocket", z_mm=190.0, length_mm=14.0, depth_mm=2.0, clock_deg=220.0, arc_deg=40.0),
-    Feature("bump", z_mm=190.0, length_mm=26.0, depth_mm=4.0, clock_deg=330.0, arc_deg=20.0),
+    WorldFeature("pocket", z_mm=190.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=40.0),
+    WorldFeature("pocket", z_mm=190.0, length_mm=14.0, depth_mm=2.0, clock_deg=220.0, arc_deg=40.0),
+    WorldFeature("bump", z_mm=190.0, length_mm=26.0, depth_mm=4.0, clock_deg=330.0, arc_deg=20.0),
 )
 SIDE_DEG = 2.0  # beside a pocket's side walls a slit is bent, not hidden
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
 from annulus_pipe.calibrate.pipe_picture import draw_pipe
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import open_job, reprocess
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
@@ -37,7 +37,7 @@ def rows() -> list[Row]:
         save_pipe(result, file)
         began = time.monotonic()
         done = reprocess(open_job(SCENES / "pipe-a", file))
-        write(done.survey(), Account("pipe-a", done.frames, done.drops, done.timing_ms), out)
+        write(done.survey(), ScanAccount("pipe-a", done.frames, done.drops, done.timing_ms), out)
         print(f"   pipe-a in {time.monotonic() - began:.0f} s", flush=True)
         told = subprocess.run(
             [sys.executable, SCENES / "score.py", out / "cloud.ply", SCENES / "pipe-a" / "truth.json", "--json"],

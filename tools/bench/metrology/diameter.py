@@ -20,7 +20,7 @@ from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import score_cloud
-from annulus_pipe.twin.worlds import Feature, World, clean_world, demo_world
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world, demo_world
 from annulus_pipe.wall.consistency import without_inconsistent
 from annulus_pipe.wall.grid import build_wall
 from annulus_pipe.wall.registration import register
@@ -44,7 +44,7 @@ Z_MM = np.arange(100.0, 185.0, STATION_MM)
 
 def pipe(part: float, seed: int) -> World:
     """A pipe `part` larger than nominal, with a stretch where its diameters differ by +-1.2 mm."""
-    oval = Feature("oval", z_mm=140.0, length_mm=70.0, depth_mm=0.6, clock_deg=20.0)
+    oval = WorldFeature("oval", z_mm=140.0, length_mm=70.0, depth_mm=0.6, clock_deg=20.0)
     world = clean_world(seed=seed, travel_mm=TRAVEL_MM)
     return replace(world, radius_mm=NOMINAL_MM * (1 + part), features=(oval,))
 

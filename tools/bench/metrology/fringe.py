@@ -11,7 +11,7 @@ import numpy as np
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.wings.fringe.measure import FringeProjector, Points, View, heights
+from annulus_pipe.wings.fringe.measure import FringeProjector, FringeView, Points, heights
 from annulus_pipe.wings.fringe.measure.source import direct, iterated
 from annulus_pipe.wings.fringe.measure.steps import find_steps
 from tools.bench.metrology import fringe_models, fringe_pipe, fringe_scan
@@ -50,7 +50,7 @@ def _phases(points: Points, h: FloatArray, moved: FloatArray) -> FloatArray:
 
 
 def _fit(points: Points, samples: FloatArray, moved: FloatArray, noise: float) -> FloatArray:
-    view = View.of(HeadCamera(0, LENS), SLIDE, moved[:, None] * [1.0, 0.0, 0.0])
+    view = FringeView.of(HeadCamera(0, LENS), SLIDE, moved[:, None] * [1.0, 0.0, 0.0])
     variance = max(noise, 1e-6) ** 2
     found = heights(view, samples[..., None], points, noise=(variance, 0.0, 0.0), tolerance_mm=1e-10)
     return found.height_mm

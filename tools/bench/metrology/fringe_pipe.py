@@ -17,7 +17,7 @@ import numpy as np
 
 from annulus_pipe.wall.defects import Defect
 from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe, save_fringe_pipe
-from annulus_pipe.wings.fringe.measure import FringeProjector, PipeCalibration
+from annulus_pipe.wings.fringe.measure import CleanPipeFit, FringeProjector
 from annulus_pipe.wings.fringe.pipe import MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from tools.bench.table import SCENES, Row
 
@@ -37,7 +37,7 @@ PLAIN_MM = 2.0  # from any feature
 class Judged:
     """centre_mm : how far the calibrated projector is off. covered : share of the plain wall within k = 2."""
 
-    calibrated: PipeCalibration
+    calibrated: CleanPipeFit
     centre_mm: float
     measured: MeasuredPipe
     score: dict[str, Any]

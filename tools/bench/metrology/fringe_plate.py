@@ -26,8 +26,8 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.wings.fringe.measure import (
     FringeProjector,
+    FringeView,
     Points,
-    View,
     find_steps,
     heights,
     noise_of,
@@ -76,7 +76,7 @@ def _speed() -> list[Row]:
     raw = np.array(frames, np.float32)
     axis = np.linspace(-70, 70, 1000)
     points = Points.plate(axis, axis, DISTANCE)
-    view = View.of(HeadCamera(0, lens), slide, moved[:, None] * AHEAD)
+    view = FringeView.of(HeadCamera(0, lens), slide, moved[:, None] * AHEAD)
     images = spline(raw)
     found = heights(view, images, points, 1.0, noise=(2.25, 0.0, 0.0))
     off = found.height_mm - (1 + 0.5 * np.sin(points.base[:, 0] / 15))
@@ -136,7 +136,7 @@ def _plate() -> list[Row]:
             )
         )
         moved = steps[0].place_mm[:, None] * AHEAD
-        noise = noise_of(heights(View.of(first, slide, moved), images, coarse, drift_sigma=DRIFT))
+        noise = noise_of(heights(FringeView.of(first, slide, moved), images, coarse, drift_sigma=DRIFT))
         slides = [("exact slide", slide)]
         if name == "uniform":
             wrong = replace(slide, phase0=slide.phase0 + 0.4, period=1.01 * slide.period)

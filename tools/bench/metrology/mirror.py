@@ -21,7 +21,7 @@ from annulus_pipe.rings.calibration.observations import observe
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import CloudScore, score_cloud, score_defects
-from annulus_pipe.twin.worlds import Optics, World, mirror_world
+from annulus_pipe.twin.worlds import CameraOptics, World, mirror_world
 from annulus_pipe.wall.consistency import without_inconsistent
 from annulus_pipe.wall.defects import find_defects
 from annulus_pipe.wall.grid import Wall, build_wall
@@ -36,7 +36,7 @@ from matplotlib import pyplot as plt
 INCH = 25.4
 FRAMES = 80  # of the 3-inch scan; a frame every 2 mm
 LEAN_DEG, ASIDE_MM, POSES = 3.0, 3.0, 16  # how the head is held to calibrate itself
-WORSE = Optics(blur_px=1.6, read=3.0, shot=0.06)
+WORSE = CameraOptics(blur_px=1.6, read=3.0, shot=0.06)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from annulus_pipe.calibrate.slide import write_design
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.rings.pattern import Head, design, stripe_colours
+from annulus_pipe.rings.pattern import PatternHead, design, stripe_colours
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.storage.calibration_file import load_calibration
 from tests.unit.rings.drawn import draw
@@ -21,7 +21,7 @@ from tools.bench.metrology import TABLE
 from tools.bench.table import Row
 
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)
-HEAD = Head(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)  # §3.2.3, §4.3.2: 18 mm sensor in a 6 inch pipe
+HEAD = PatternHead(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)  # §3.2.3, §4.3.2: 18 mm sensor in a 6 inch pipe
 SLIT_PX = 8.0
 POSE = Pose(0.02, -0.03, 3.0, -2.0)
 

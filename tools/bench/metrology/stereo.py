@@ -25,7 +25,7 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone, intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.record.codec import to_bgr
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import open_job, reprocess
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.stereo import StereoReconstructor
@@ -206,7 +206,7 @@ def _scenes() -> list[Row]:
         save_pipe(calibrated, file)
         c = scorer.score_calibration(str(file), str(tube / "truth"))
         done = reprocess(open_job(scan, file))
-        write(done.survey(), Account("stereo-a", done.frames, done.drops, done.timing_ms), Path(folder) / "out")
+        write(done.survey(), ScanAccount("stereo-a", done.frames, done.drops, done.timing_ms), Path(folder) / "out")
         s = scorer.score_cloud(str(Path(folder) / "out" / "cloud.ply"), str(scan / "truth"))
         told = json.loads((Path(folder) / "out" / "summary.json").read_text())["defects"]
     place = max(map(abs, c["camera_1_place_error_mm"]))

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from annulus_pipe.cli.limits_file import load_limits
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import method_for, open_job, reprocess, warm_up
 from annulus_pipe.wall.conformity import judge
 from tools.bench.scenes import __doc__ as purpose
@@ -121,7 +121,7 @@ def measure(scene: Path, out: Path, limits: Path | None = None) -> float:
     done = reprocess(open_job(scene, scene / "calibration.json"))
     survey = done.survey()
     verdict = None if limits is None else judge(survey, load_limits(limits))
-    account = Account(scene.name, done.frames, done.drops, done.timing_ms, done.findings, verdict=verdict)
+    account = ScanAccount(scene.name, done.frames, done.drops, done.timing_ms, done.findings, verdict=verdict)
     write(survey, account, out)
     return time.process_time() - began
 

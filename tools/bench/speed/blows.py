@@ -25,7 +25,7 @@ import zmq
 
 from annulus_pipe.daemon.account import ScanReport
 from annulus_pipe.daemon.config import RecordConfig, SocketConfig
-from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.ledger import ExitStatus
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.daemon.state import State
@@ -371,7 +371,7 @@ def _wrong_in(session: Session, report: ScanReport, replaced: Counter[str]) -> l
         if was != replaced[role]:
             why = Counter(text for text in report.events if "takes over" in text or "is replaced" in text)
             found.append(f"{was} {role}s replaced, expected {replaced[role]}: {dict(why)}")
-    if session.status not in (Status.FINE, Status.INCOMPLETE):
+    if session.status not in (ExitStatus.FINE, ExitStatus.INCOMPLETE):
         found.append(f"status {session.status.name}: {[finding.text for finding in report.findings]}")
     return found
 

@@ -25,7 +25,7 @@ from annulus_pipe.reprocess.executors import Failed
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
 from annulus_pipe.reprocess.versions import measured_with
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import clean_world
@@ -110,7 +110,7 @@ def _scan(path: Path) -> Job:
 
 def _tasks(job: Job, folder: Path, cluster: Cluster, told: _Task) -> Iterator[Row]:
     one = Ranges(job)[0]
-    facts = measuring(job, Place(folder / "one")).ready()(one)
+    facts = measuring(job, StoragePath(folder / "one")).ready()(one)
     work, many = Nothing(facts), Same(one, TASKS)
     list(Dask(cluster.url)(work, Same(one, 20)))  # workers there, and all imported
     assert cluster.scheduler is not None
@@ -121,7 +121,7 @@ def _tasks(job: Job, folder: Path, cluster: Cluster, told: _Task) -> Iterator[Ro
     worker, client = sum(workers), client / TASKS * 1e3
     whole = scheduler + client + worker
     told.scheduler_ms, told.client_ms, told.worker_ms = scheduler, client, worker
-    there = len(pickle.dumps(work)) - len(pickle.dumps(facts)) + len(pickle.dumps(measuring(job, Place(folder))))
+    there = len(pickle.dumps(work)) - len(pickle.dumps(facts)) + len(pickle.dumps(measuring(job, StoragePath(folder))))
     item, back = len(packed((measured_with(), one))), len(packed(facts))
     ok, load = whole <= TASK_MS and done == TASKS, os.getloadavg()[0]
     yield Row("a task: processor in all", "-", f"<= {TASK_MS:g} ms", f"{whole:.2f} ms", ok)
@@ -171,7 +171,7 @@ def _scans(job: Job, folder: Path, cluster: Cluster, told: _Task) -> Iterator[Ro
     _ranges(job, here, in_process)
     yield Row("found again, not measured", "-", "-", f"{(time.process_time() - start) / serial:.1%} of serial")
     yield row("Processes(2), their start with it", ranged(Processes(2, apart=True), _children), bound=False)
-    list(Dask(cluster.url)(measuring(job, Place(folder / "warm")), [*Ranges(job, which[: 8 * CHUNK], 1)]))
+    list(Dask(cluster.url)(measuring(job, StoragePath(folder / "warm")), [*Ranges(job, which[: 8 * CHUNK], 1)]))
     for workers in (2, 1):
         if workers == 1:
             cluster.kill(1)
@@ -199,7 +199,7 @@ def _model(job: Job, one: _Task) -> Iterator[Row]:
 def _ranges(job: Job, folder: Path, executor: Executor) -> float:
     """By the clock, s."""
     began = time.perf_counter()
-    outcomes = [outcome for _, outcome in executor(measuring(job, Place(folder)), Ranges(job, chunks=CHUNKS))]
+    outcomes = [outcome for _, outcome in executor(measuring(job, StoragePath(folder)), Ranges(job, chunks=CHUNKS))]
     assert all(isinstance(outcome, Facts) for outcome in outcomes)
     return time.perf_counter() - began
 

@@ -25,13 +25,13 @@ from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.viewers import preview
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.report import Account, write
+from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.reprocess import Processes, open_job, reprocess
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.score import score_cloud, score_defects
-from annulus_pipe.twin.worlds import Feature, World, clean_world
+from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import Label
 from tools.bench.table import SCENES, Row
 
@@ -107,8 +107,8 @@ def rows() -> list[Row]:
 
 def _world() -> World:
     pockets = (
-        Feature("pocket", z_mm=110.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0),
-        Feature("pocket", z_mm=135.0, length_mm=14.0, depth_mm=1.0, clock_deg=250.0, arc_deg=40.0),
+        WorldFeature("pocket", z_mm=110.0, length_mm=24.0, depth_mm=3.0, clock_deg=80.0, arc_deg=30.0),
+        WorldFeature("pocket", z_mm=135.0, length_mm=14.0, depth_mm=1.0, clock_deg=250.0, arc_deg=40.0),
     )
     return replace(clean_world(travel_mm=90.0), features=pockets)
 
@@ -171,7 +171,7 @@ def _pipe_a(folder: Path) -> list[Row]:
                 told, ok = f"{size / 1e3:.0f} kB a frame; every pixel as recorded raw", True
             else:
                 done = reprocess(open_job(path), Processes(2))
-                write(done.survey(), Account("pipe-a", done.frames, done.drops, done.timing_ms), cloud)
+                write(done.survey(), ScanAccount("pipe-a", done.frames, done.drops, done.timing_ms), cloud)
                 told, rms = _told(cloud / "cloud.ply")
                 plain = rms if codec is Codec.RAW else plain
                 told, ok = f"{size / 1e3:.0f} kB a frame; {told}", rms <= plain + WORSE_MM

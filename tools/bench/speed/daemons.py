@@ -20,7 +20,7 @@ from typing import Any
 import zmq
 
 from annulus_pipe.daemon.control import ControlClient
-from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.ledger import ExitStatus
 from annulus_pipe.daemon.state import State
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.storage.calibration_file import save_calibration
@@ -240,7 +240,7 @@ def _say(what: str, times_s: list[float], outcome: Outcome) -> None:
 
 def _end(daemon: Daemon, outcome: Outcome, before: set[str]) -> None:
     outcome.statuses.append(daemon.end())
-    if outcome.statuses[-1] not in (Status.FINE, Status.INCOMPLETE):
+    if outcome.statuses[-1] not in (ExitStatus.FINE, ExitStatus.INCOMPLETE):
         outcome.problems.append(f"exit status {outcome.statuses[-1]}: {daemon.heard()[-3:]}")
     outcome.problems += daemon.left(before)
     time.sleep(0.1)  # its last words are on their way

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from contextlib import suppress
 
-from annulus_pipe.daemon.ledger import Status
+from annulus_pipe.daemon.ledger import ExitStatus
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.vocabulary import AnnulusError
 from tools.bench.speed.at_work import Work, at_work, recordings, until
@@ -41,7 +41,7 @@ def loops(seconds: float = 12.0, roles: tuple[str, ...] = LOOPS) -> list[Row]:
         work.end()
         status, left = work.daemon.end(), [str(one) for one in work.daemon.sockets.iterdir()]
     wrong = [one for one in work.problems if one.startswith(("damaged", "frame "))]  # what was cut off is no wonder
-    ok = not (zombies or left or wrong) and status in (Status.FINE, Status.INCOMPLETE)
+    ok = not (zombies or left or wrong) and status in (ExitStatus.FINE, ExitStatus.INCOMPLETE)
     text = "; ".join([*wrong, *map(str, zombies), *left]) or f"{work.recorded} frames, whole; status {status}"
     return [*rows, Row("their scan in the end", "-", "readable, no zombie, nothing left", text, ok)]
 

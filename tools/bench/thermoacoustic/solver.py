@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import simpson
 from scipy.special import j0
 
-from annulus_pipe.wings.tai.measure.field import Grid, Medium, Solver, receivers, rim
+from annulus_pipe.wings.tai.measure.field import Medium, Solver, SoundGrid, receivers, rim
 from tools.bench.table import Row
 from tools.bench.thermoacoustic import keep
 from tools.study.figure import Figure
@@ -26,7 +26,7 @@ def heard(times_s: np.ndarray[Any, Any], at_mm: float) -> np.ndarray[Any, Any]:
 
 def error(dx_mm: float, kind: type[np.floating], courant: float = 0.3) -> float:
     side = 2 * round(4.0 / dx_mm) + 40
-    grid = Grid((side, side), dx_mm)
+    grid = SoundGrid((side, side), dx_mm)
     solver = Solver(grid, Medium(SPEED), courant * dx_mm * 1e-3 / SPEED, dtype=kind)
     y, x = np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")
     point = np.array([[AT_MM * np.cos(0.7), AT_MM * np.sin(0.7)]])
@@ -75,7 +75,7 @@ def convergence() -> Figure:
 
 def rows() -> list[Row]:
     exact = keep("solver_convergence", convergence())
-    grid = Grid((300, 300), 0.1)
+    grid = SoundGrid((300, 300), 0.1)
     solver = Solver(grid, Medium(SPEED))
     y, x = np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")
     source = np.exp(-(x**2 + y**2) / (2 * 0.5**2))

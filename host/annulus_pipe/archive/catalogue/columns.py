@@ -13,7 +13,7 @@ Kind = Literal["text", "number", "whole", "yes", "date", "time", "measures"]
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class CatalogueColumn:
     """`kind`: of its values; time is UTC, measures are names (with unit) and numbers."""
 
     name: str
@@ -21,19 +21,19 @@ class Column:
     means: str
 
 
-def _columns(kind: Kind, /, **means: str) -> list[Column]:
-    return [Column(name, kind, text) for name, text in means.items()]
+def _columns(kind: Kind, /, **means: str) -> list[CatalogueColumn]:
+    return [CatalogueColumn(name, kind, text) for name, text in means.items()]
 
 
-def _key(of: str) -> list[Column]:
+def _key(of: str) -> list[CatalogueColumn]:
     return [
-        Column("survey", "text", f"the survey {of}, 12 hexadecimal digits"),
-        Column("pipe", "text", "its pipe, as the job says; NULL where nobody said"),
-        Column("date", "date", "day of the scan"),
+        CatalogueColumn("survey", "text", f"the survey {of}, 12 hexadecimal digits"),
+        CatalogueColumn("pipe", "text", "its pipe, as the job says; NULL where nobody said"),
+        CatalogueColumn("date", "date", "day of the scan"),
     ]
 
 
-SURVEYS: Sequence[Column] = [
+SURVEYS: Sequence[CatalogueColumn] = [
     *_key("itself"),
     *_columns(
         "text",
@@ -110,7 +110,7 @@ SURVEYS: Sequence[Column] = [
     ),
 ]
 
-STATIONS: Sequence[Column] = [
+STATIONS: Sequence[CatalogueColumn] = [
     *_key("it belongs to"),
     *_columns(
         "number",
@@ -131,7 +131,7 @@ STATIONS: Sequence[Column] = [
     ),
 ]
 
-_PLACE: Sequence[Column] = [
+_PLACE: Sequence[CatalogueColumn] = [
     *_columns("whole", number="in the results: 1 is D1, U1 or F1 of the report"),
     *_columns("text", kind="as summary.json calls it"),
     *_columns(
@@ -144,9 +144,9 @@ _PLACE: Sequence[Column] = [
         length_mm="along the pipe",
     ),
 ]
-_JUDGED: Sequence[Column] = _columns("text", severity="by the limits named; NULL without", decision="by them")
+_JUDGED: Sequence[CatalogueColumn] = _columns("text", severity="by the limits named; NULL without", decision="by them")
 
-DEFECTS: Sequence[Column] = [
+DEFECTS: Sequence[CatalogueColumn] = [
     *_key("it belongs to"),
     *_PLACE,
     *_columns(
@@ -160,15 +160,15 @@ DEFECTS: Sequence[Column] = [
     *_JUDGED,
 ]
 
-FEATURES: Sequence[Column] = [
+FEATURES: Sequence[CatalogueColumn] = [
     *_key("it belongs to"),
     *_PLACE,
     *_columns("text", remark="of the reconstruction"),
     *_JUDGED,
-    Column("measures", "measures", "what was measured of it: measures['height_mm'], measures['height_k2_mm']"),
+    CatalogueColumn("measures", "measures", "what was measured of it: measures['height_mm'], measures['height_k2_mm']"),
 ]
 
-TABLES: Mapping[str, Sequence[Column]] = {
+TABLES: Mapping[str, Sequence[CatalogueColumn]] = {
     "surveys": SURVEYS,
     "stations": STATIONS,
     "defects": DEFECTS,
@@ -176,7 +176,7 @@ TABLES: Mapping[str, Sequence[Column]] = {
 }
 """As they are stored, a file each."""
 
-SUPERSEDED = Column(
+SUPERSEDED = CatalogueColumn(
     "superseded_by", "text", "the survey of the same scan that counts in its place; only in all_surveys"
 )
 JOINT_MEASURES: Mapping[str, str] = {

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.archive.catalogue.columns import JOINT_KINDS, JOINT_MEASURES, SUPERSEDED, SURVEYS, TABLES
-from annulus_pipe.archive.catalogue.pieces import Damage, Pieces, broken, find, quoted, session
+from annulus_pipe.archive.catalogue.pieces import DamagedFile, Pieces, broken, find, quoted, session
 from annulus_pipe.extras import need
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
@@ -29,7 +29,7 @@ class Engine:
         self.root, self.memory_mb = root, memory_mb
         self.connection = session(memory_mb)
         self.pieces = self._opened(without)
-        self.damage: Sequence[Damage] = self.pieces.damage
+        self.damage: Sequence[DamagedFile] = self.pieces.damage
         self._lock()
 
     def close(self) -> None:
@@ -120,7 +120,7 @@ class Engine:
         by_path = {one.path: one for one in self.damage}
         for one in again.damage:
             why = found.get(one.path, one.why)
-            by_path.setdefault(one.path, Damage(one.path, why, one.lost))
+            by_path.setdefault(one.path, DamagedFile(one.path, why, one.lost))
         self.damage = list(by_path.values())
         return True
 

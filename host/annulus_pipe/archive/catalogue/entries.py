@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.archive.catalogue.columns import SUPERSEDED, SURVEYS
-from annulus_pipe.archive.catalogue.pieces import Damage, pack, quoted
+from annulus_pipe.archive.catalogue.pieces import DamagedFile, pack, quoted
 from annulus_pipe.archive.catalogue.query import open_catalogue
 from annulus_pipe.archive.catalogue.store import make, put, read_back, require, survey_folder, survey_ids, sweep
 from annulus_pipe.archive.catalogue.survey import Row, digest, read_survey
@@ -105,7 +105,7 @@ def _versions(root: Path, done: Sequence[Added | Refused]) -> list[Added | Refus
 
 def listed(
     archive: Path, pipe: str | None = None, since: date | None = None, superseded: bool = False
-) -> tuple[Sequence[Row], int, Sequence[Damage]]:
+) -> tuple[Sequence[Row], int, Sequence[DamagedFile]]:
     """Rows of surveys by pipe and date, with superseded_by; how many superseded ones are not shown; what is damaged."""
     names = [one.name for one in SURVEYS] + [SUPERSEDED.name]
     where, values = ["true"], list[Any]()

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.archive.catalogue.columns import TABLES, Column
+from annulus_pipe.archive.catalogue.columns import TABLES, CatalogueColumn
 from annulus_pipe.archive.catalogue.store import (
     LEFT_S,
     PACKS,
@@ -62,7 +62,7 @@ class Pack:
 
 
 @dataclass(frozen=True, slots=True)
-class Damage:
+class DamagedFile:
     """A file that is not whole. lost: whether rows are missing, for no other file has them."""
 
     path: Path
@@ -77,7 +77,7 @@ class Pieces:
     root: Path
     packs: Sequence[Pack]
     loose: Sequence[str]
-    damage: Sequence[Damage]
+    damage: Sequence[DamagedFile]
     left_out: frozenset[Path] = field(default_factory=frozenset)
 
     def files(self, table: str) -> list[Path]:
@@ -124,7 +124,7 @@ def session(memory_mb: int = MEMORY_MB) -> Any:
 def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) -> Pieces:
     """What there is, each survey once. without: files that broke before."""
     ids = frozenset(survey_ids(root))
-    damage: list[Damage] = []
+    damage: list[DamagedFile] = []
     packs: list[Pack] = []
     covered: set[str] = set()
     for count, folder in pack_folders(root):
@@ -141,7 +141,7 @@ def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) ->
             path = file_of(survey_folder(root, survey), table)
             why = "cannot be read" if path in without else why_cut(path)
             if why is not None:
-                damage.append(Damage(path, why, lost=True))
+                damage.append(DamagedFile(path, why, lost=True))
                 left_out.add(path)
                 rows_lost |= table == "surveys"
         if not rows_lost:
@@ -150,23 +150,23 @@ def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) ->
 
 
 def _pack(
-    connection: Any, folder: Path, count: int, ids: frozenset[str], without: frozenset[Path], damage: list[Damage]
+    connection: Any, folder: Path, count: int, ids: frozenset[str], without: frozenset[Path], damage: list[DamagedFile]
 ) -> Pack | None:
     for table in TABLES:
         path = file_of(folder, table)
         why = "cannot be read" if path in without else why_cut(path)
         if why is not None:
-            damage.append(Damage(path, why, lost=False))
+            damage.append(DamagedFile(path, why, lost=False))
             return None
     path = file_of(folder, "surveys")
     try:
         found = connection.execute(f"SELECT survey FROM {reading([path])}").fetchall()
     except need("duckdb").Error as error:
-        damage.append(Damage(path, one_line(str(error).partition("\n")[0]), lost=False))
+        damage.append(DamagedFile(path, one_line(str(error).partition("\n")[0]), lost=False))
         return None
     surveys = frozenset(str(row[0]) for row in found)
     if len(surveys) != count or len(found) != count:
-        damage.append(Damage(path, f"has {len(surveys)} surveys, expected {count}", lost=False))
+        damage.append(DamagedFile(path, f"has {len(surveys)} surveys, expected {count}", lost=False))
         return None
     return Pack(folder, surveys & ids, surveys - ids)
 
@@ -192,7 +192,7 @@ def quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
 
 
-def nothing(columns: Sequence[Column]) -> str:
+def nothing(columns: Sequence[CatalogueColumn]) -> str:
     """SQL of a table without a row."""
     return f"SELECT {', '.join(f'NULL::{_SQL_OF[one.kind]} AS {one.name}' for one in columns)} WHERE false"
 

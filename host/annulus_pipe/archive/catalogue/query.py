@@ -22,7 +22,7 @@ from typing import IO, Any
 import numpy as np
 
 from annulus_pipe.archive.catalogue.engine import Engine, too_much
-from annulus_pipe.archive.catalogue.pieces import MEMORY_MB, Damage, Pieces
+from annulus_pipe.archive.catalogue.pieces import MEMORY_MB, DamagedFile, Pieces
 from annulus_pipe.archive.catalogue.store import require
 from annulus_pipe.extras import need
 from annulus_pipe.stream.orphan import child
@@ -49,7 +49,7 @@ class Catalogue:
     def __init__(self, root: Path, memory_mb: int) -> None:
         self.root, self.memory_mb = root, memory_mb
         self._engine: Engine | None = None
-        self._damage: dict[Path, Damage] = {}
+        self._damage: dict[Path, DamagedFile] = {}
 
     @property
     def engine(self) -> Engine:
@@ -67,7 +67,7 @@ class Catalogue:
         return self.engine.pieces
 
     @property
-    def damage(self) -> Sequence[Damage]:
+    def damage(self) -> Sequence[DamagedFile]:
         own = () if self._engine is None else self._engine.damage
         return list({**{one.path: one for one in own}, **self._damage}.values())
 
@@ -76,7 +76,7 @@ class Catalogue:
             self._engine.close()
 
     @contextmanager
-    def asked(self, sql: str, seconds: float = SECONDS) -> Iterator["Answer"]:
+    def asked(self, sql: str, seconds: float = SECONDS) -> Iterator["QueryResult"]:
         """The answer to one SELECT, to be read within. AnnulusError, one line, for what is none, fails, or takes longer
         or more memory than it may. A file that turns out to be damaged is left out, and told in `damage`.
 
@@ -84,7 +84,7 @@ class Catalogue:
         """
         asking = _Asking(self.root, self.memory_mb, sql, seconds, self._damage)
         try:
-            yield Answer(asking)
+            yield QueryResult(asking)
         finally:
             asking.close()
 
@@ -92,7 +92,7 @@ class Catalogue:
 class _Asking:
     """The process that answers one question."""
 
-    def __init__(self, root: Path, memory_mb: int, sql: str, seconds: float, damage: dict[Path, Damage]) -> None:
+    def __init__(self, root: Path, memory_mb: int, sql: str, seconds: float, damage: dict[Path, DamagedFile]) -> None:
         self._memory_mb, self._seconds, self._damage = memory_mb, seconds, damage
         need("duckdb")
         need("pyarrow")
@@ -146,7 +146,7 @@ class _Asking:
             kind, content = _read(self._process.stdout)
             if kind == DAMAGE:
                 for path, why, lost in json.loads(content):
-                    self._damage[Path(path)] = Damage(Path(path), why, lost)
+                    self._damage[Path(path)] = DamagedFile(Path(path), why, lost)
             elif kind == REFUSED:
                 raise AnnulusError(content.decode())
             elif kind:
@@ -182,7 +182,7 @@ def _read(pipe: IO[bytes]) -> tuple[bytes, bytes]:
     return (kind, content) if len(content) == length else (b"", b"")
 
 
-class Answer:
+class QueryResult:
     """What a question gave: `columns`, their names, no two alike, Arrow's `schema`, and the rows, read once."""
 
     def __init__(self, asking: _Asking) -> None:

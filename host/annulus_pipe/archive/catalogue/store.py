@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.archive.catalogue.columns import TABLES, Column
+from annulus_pipe.archive.catalogue.columns import TABLES, CatalogueColumn
 from annulus_pipe.archive.catalogue.survey import Row, SurveyRecord, digest
 from annulus_pipe.extras import need
 from annulus_pipe.storage.results_folder import STATIONS_MAX
@@ -205,7 +205,7 @@ def _own(row: dict[str, Any]) -> dict[str, Any]:
     return own
 
 
-def _write(path: Path, columns: Sequence[Column], record: SurveyRecord, table: str) -> None:
+def _write(path: Path, columns: Sequence[CatalogueColumn], record: SurveyRecord, table: str) -> None:
     pa, pq = need("pyarrow"), need("pyarrow.parquet")
     kinds = {
         "text": pa.string(),
@@ -234,7 +234,7 @@ def _write(path: Path, columns: Sequence[Column], record: SurveyRecord, table: s
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd", use_dictionary=texts)
 
 
-def _arrow(value: Any, column: Column) -> Any:
+def _arrow(value: Any, column: CatalogueColumn) -> Any:
     return list(value.items()) if column.kind == "measures" else value
 
 

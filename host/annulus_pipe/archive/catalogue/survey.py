@@ -25,7 +25,7 @@ from annulus_pipe.storage.results_folder import (
     PLACES_MAX,
     SUMMARY,
     TEXT_MAX,
-    Place,
+    ListedPlace,
     figures,
     places,
     read_stations,
@@ -207,7 +207,7 @@ def _open_places(found: object) -> str | None:
     return printable(json.dumps(out[:OPEN_MAX])) if out else None
 
 
-def _place(number: int, one: Place) -> dict[str, Any]:
+def _place(number: int, one: ListedPlace) -> dict[str, Any]:
     return {
         "number": number,
         "kind": one.kind,
@@ -222,13 +222,13 @@ def _place(number: int, one: Place) -> dict[str, Any]:
     }
 
 
-def _defect(number: int, one: Place, sure: bool) -> Row:
+def _defect(number: int, one: ListedPlace, sure: bool) -> Row:
     sizes = {name: getattr(one, name) for name in ("depth_mm", "depth_k2_mm", "area_mm2", "hidden_mm")}
     floats = {name: None if value is None else float(value) for name, value in sizes.items()}
     return {**_place(number, one), **floats, "floor_seen": one.floor_seen, "sure": sure}
 
 
-def _feature(number: int, one: Place) -> Row:
+def _feature(number: int, one: ListedPlace) -> Row:
     measures: dict[str, float] = {}
     of_levels = [("depth_mm", one.depth_mm, one.depth_k2_mm)] if one.depth_mm is not None else []
     for name, value, k2 in [*one.measures, *of_levels]:

@@ -328,7 +328,7 @@ def direction_is_that_of_the_move(board: Board) -> str:
 # ---- odometer ----
 
 
-class Cable:
+class OdometerWheel:
     """Turns the wheel: input edges for a step at a tick, and the truth."""
 
     def __init__(self) -> None:
@@ -355,7 +355,7 @@ class Cable:
 def the_odometer_is_exact_at_every_edge(board: Board) -> str:
     configure(board, period=400_000)
     begins = status(board).odometer
-    cable, rng, truth, edges = Cable(), random.Random(2), [], []
+    cable, rng, truth, edges = OdometerWheel(), random.Random(2), [], []
     tick = 2.0 * MS
     for _ in range(30):
         direction = rng.choice((1, 1, -1))
@@ -376,7 +376,7 @@ def the_odometer_is_exact_at_every_edge(board: Board) -> str:
 
 @promised("300 counts there and back, without a camera", "0", PIN_ODOMETER_A, PIN_ODOMETER_B, unit="counts")
 def there_and_back_reads_zero(board: Board) -> str:
-    begins, cable, edges, tick = status(board).odometer, Cable(), [], 1.0 * MS
+    begins, cable, edges, tick = status(board).odometer, OdometerWheel(), [], 1.0 * MS
     for by in [1] * 300 + [-1] * 300:
         tick += 2_000
         edges += cable.step(tick, by)
@@ -399,7 +399,7 @@ def lines_that_change_together_are_counted(board: Board) -> str:
         assert isinstance(reply, HealthReply)
         return reply.odometer_impossible
 
-    before, begins, cable, edges = impossible(), status(board).odometer, Cable(), []
+    before, begins, cable, edges = impossible(), status(board).odometer, OdometerWheel(), []
     for i in range(30):
         edges += cable.step(MS + i * MS, 2)
     played = board.play(Scene(until=140 * MS, edges=edges))

@@ -63,7 +63,7 @@ from annulus_pipe.selftest.rig.wire import (
     Area,
     Record,
     RigLine,
-    State,
+    RigState,
 )
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -326,7 +326,7 @@ class RigBoard:
                 self._asked = None
             happened = self.client.poll(0.0)
 
-    def _fetch(self, scene: Scene, tracks: Sequence[tuple[int, int]], state: State) -> list[EdgeIn]:
+    def _fetch(self, scene: Scene, tracks: Sequence[tuple[int, int]], state: RigState) -> list[EdgeIn]:
         """Everything recorded, in the controller's ticks."""
         seen: dict[int, list[list[tuple[int, int]]]] = {}
         for machine, which in tracks:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from annulus_pipe.link.messages import StateFlag, Status, StatusReply
 from annulus_pipe.link.operate import text_of
-from annulus_pipe.selftest.promise import Row, Verdict
+from annulus_pipe.selftest.promise import PromiseVerdict, Row
 from annulus_pipe.selftest.rig import lamps, line, microwave, motion, variants
 from annulus_pipe.selftest.rig.board import NotKeptError
 from annulus_pipe.selftest.rig.on_rig import RigBoard
@@ -51,15 +51,15 @@ class RigTest:
     seconds: float
     rows: tuple[Row, ...]
 
-    def count(self, verdict: Verdict) -> int:
+    def count(self, verdict: PromiseVerdict) -> int:
         return sum(row.verdict is verdict for row in self.rows)
 
     @property
     def broken(self) -> int:
-        return self.count(Verdict.BROKEN)
+        return self.count(PromiseVerdict.BROKEN)
 
     def to_dict(self) -> dict[str, object]:
-        return asdict(self) | {"kept": self.count(Verdict.KEPT), "broken": self.broken}
+        return asdict(self) | {"kept": self.count(PromiseVerdict.KEPT), "broken": self.broken}
 
 
 def chosen(only: str | None) -> tuple[Promise, ...]:
@@ -91,7 +91,7 @@ def run_rig(device: str, rig: str, *, only: str | None = None, tell: Callable[[s
             tell(promise.what)
             rows.append(_judged(board, promise, missing))
         board.fresh()  # nothing stays turned over or triggered
-        rows += [Row(what, "", "-", Verdict.NOT_TESTED, why=why) for what, why in NOT_CHECKED]
+        rows += [Row(what, "", "-", PromiseVerdict.NOT_TESTED, why=why) for what, why in NOT_CHECKED]
         who = board.client.identity
         info = board.client.session.info
         version = f"{info.major}.{info.minor}.{info.patch} " if info else ""
@@ -120,40 +120,45 @@ def _judged(board: RigBoard, promise: Promise, missing: frozenset[int]) -> Row:
     gone = [jumper(pin) for pin in promise.pins if pin in missing]
     if gone:
         return Row(
-            promise.what, promise.expected, "-", Verdict.NOT_WIRED, unit=promise.unit, why=f"needs {', '.join(gone)}"
+            promise.what,
+            promise.expected,
+            "-",
+            PromiseVerdict.NOT_WIRED,
+            unit=promise.unit,
+            why=f"needs {', '.join(gone)}",
         )
     board.fresh()
     try:
-        return Row(promise.what, promise.expected, promise.check(board), Verdict.KEPT, unit=promise.unit)
+        return Row(promise.what, promise.expected, promise.check(board), PromiseVerdict.KEPT, unit=promise.unit)
     except NotKeptError as observed:
-        return Row(promise.what, promise.expected, str(observed), Verdict.BROKEN, unit=promise.unit)
+        return Row(promise.what, promise.expected, str(observed), PromiseVerdict.BROKEN, unit=promise.unit)
 
 
 SHOWN = {
-    Verdict.KEPT: "kept",
-    Verdict.BROKEN: "BROKEN",
-    Verdict.NOT_WIRED: "not wired",
-    Verdict.NOT_TESTED: "not checked",
-    Verdict.INFORMS: "",
+    PromiseVerdict.KEPT: "kept",
+    PromiseVerdict.BROKEN: "BROKEN",
+    PromiseVerdict.NOT_WIRED: "not wired",
+    PromiseVerdict.NOT_TESTED: "not checked",
+    PromiseVerdict.INFORMS: "",
 }
 
 
 def verdict_line(test: RigTest) -> str:
     """The result in a sentence."""
     broken = f"{test.broken} BROKEN" if test.broken else "none broken"
-    unwired, beyond = test.count(Verdict.NOT_WIRED), test.count(Verdict.NOT_TESTED)
+    unwired, beyond = test.count(PromiseVerdict.NOT_WIRED), test.count(PromiseVerdict.NOT_TESTED)
     return (
-        f"{test.count(Verdict.KEPT)} promises kept, {broken}, {unwired} not wired,"
+        f"{test.count(PromiseVerdict.KEPT)} promises kept, {broken}, {unwired} not wired,"
         f" {beyond} that a rig cannot check; {test.seconds:.0f} s"
     )
 
 
 def render_table(test: RigTest) -> str:
     """For a terminal: what was judged, then what was not and why."""
-    judged = [row for row in test.rows if row.verdict is not Verdict.NOT_TESTED]
+    judged = [row for row in test.rows if row.verdict is not PromiseVerdict.NOT_TESTED]
     lines = [("promise", "expected", "observed", "verdict", "unit")]
     lines += [(row.what, row.promise, row.why or row.measured, SHOWN[row.verdict], row.unit) for row in judged]
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     text = "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
-    beyond = [f"  {row.what}: {row.why}" for row in test.rows if row.verdict is Verdict.NOT_TESTED]
+    beyond = [f"  {row.what}: {row.why}" for row in test.rows if row.verdict is PromiseVerdict.NOT_TESTED]
     return text + "\n\nnot checked, because a rig cannot (all of it is on the emulator):\n" + "\n".join(beyond)

@@ -71,7 +71,7 @@ class Record:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class RigState:
     flags: int
     tick: int  # of the rig, since the mark
     levels: int
@@ -170,13 +170,13 @@ class RigLine:
     def go(self, words: int) -> None:
         self._ask(Operation.GO, struct.pack("<H", words))
 
-    def state(self) -> State:
+    def state(self) -> RigState:
         answer = self._ask(Operation.STATE, b"")
         if len(answer) != _STATE.size:
             raise AnnulusError(f"{self.url}: a state of {len(answer)} bytes, expected {_STATE.size}")
         flags, tick, levels, sampled, unplayed, slow, room, *tracked = _STATE.unpack(answer)
         room = min(room, AREA_WORDS // TRACKS)  # whatever it says: no more is ever asked for
-        return State(
+        return RigState(
             flags,
             tick,
             levels,

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from annulus_pipe.twin.rays import Eye
-from annulus_pipe.twin.stretch import F32, LEVEL, NX, NY, NZ, Stretch, X, Y, Z, jit
+from annulus_pipe.twin.rays import PipeCamera
+from annulus_pipe.twin.stretch import F32, LEVEL, NX, NY, NZ, PixelRun, X, Y, Z, jit
 from annulus_pipe.twin.worlds.world import World
 
 
@@ -19,7 +19,7 @@ class LedTable(NamedTuple):
 
 
 @jit
-def shine(part: Stretch, led: LedTable) -> None:
+def shine(part: PixelRun, led: LedTable) -> None:
     scratch, v, odd, led_power, lamp = part.scratch, part.v, part.odd, led.power, led.place
     gain = led.gain[v]
     zero = np.float32(0.0)
@@ -38,7 +38,7 @@ class LedRing:
         self._power = (power * np.array(world.led.colour)).astype(np.float32)
         self._behind_mm, self._aside_mm = world.led.behind_mm, world.led.aside_mm
 
-    def table(self, first: Eye, gain: F32) -> LedTable:
+    def table(self, first: PipeCamera, gain: F32) -> LedTable:
         """first : the head's first camera, behind which they shine."""
         aside, down = self._aside_mm
         place = first.station - np.float64(self._behind_mm) * first.rotation[2]  # rounded once

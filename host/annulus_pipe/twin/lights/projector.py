@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.rays import Placed
-from annulus_pipe.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, jit, step_up
+from annulus_pipe.twin.rays import HeadPosition
+from annulus_pipe.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, PixelRun, S, X, Y, Z, jit, step_up
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import STEP_Z_MM, World
 
@@ -55,7 +55,7 @@ class SlideProjector:
         if (mirror := seen.camera.mirror) is not None:
             self._focal *= np.float32(mirror.radius_mm / (2 * np.linalg.norm(mirror.centre_mm)))
 
-    def beam(self, pose: Placed, z_mm: float, gain: F32) -> Beam:
+    def beam(self, pose: HeadPosition, z_mm: float, gain: F32) -> Beam:
         centre = in_pipe(self._axis[None], pose, z_mm)[0]
         lit = self._lit_circle(pose, z_mm) if isinstance(pose, Pose) else np.array(EVERYWHERE, np.float32)
         rotation = pose.rotation.astype(np.float32)
@@ -93,14 +93,14 @@ class SlideProjector:
         return np.array([*centre, max(inner, 0.0), outer], np.float32)
 
 
-def in_pipe(table: NDArray[np.float64], pose: Placed, z_mm: float) -> F32:
+def in_pipe(table: NDArray[np.float64], pose: HeadPosition, z_mm: float) -> F32:
     """Rows of vertex, axis and more, from the camera frame to the pipe's."""
     place, way = pose.to_pipe(table[:, :3], z_mm), table[:, 3:6] @ pose.rotation
     return np.hstack([place, way, table[:, 6:]]).astype(np.float32)
 
 
 @jit
-def fall(part: Stretch, beam: Beam) -> None:
+def fall(part: PixelRun, beam: Beam) -> None:
     """What the beam would give each pixel's place without a slide, and at which angle to its axis that place lies."""
     scratch, centre, gain, power = part.scratch, beam.centre, beam.gain[part.v], beam.power
     vx, vy, vz, ax, ay, az = centre[0], centre[1], centre[2], centre[3], centre[4], centre[5]
@@ -115,7 +115,7 @@ def fall(part: Stretch, beam: Beam) -> None:
 
 
 @jit
-def shade(part: Stretch, beam: Beam) -> None:
+def shade(part: PixelRun, beam: Beam) -> None:
     """Rods on the way of the light."""
     scratch, n, rods, centre, rotation = part.scratch, part.n, beam.rods, beam.centre, beam.rotation
     blur, focal = beam.blur, beam.focal

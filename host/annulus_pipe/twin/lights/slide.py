@@ -4,11 +4,11 @@ from typing import Any
 
 import numba.extending
 
-from annulus_pipe.twin.lights.slits import Slits
+from annulus_pipe.hooks import merged
+from annulus_pipe.twin.lights.slits import SlitLight
 from annulus_pipe.twin.stretch import OPTIONS
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
-from annulus_pipe.wings import merged
 
 # A slide has `axis`, `rims` and `brightest` (see SlideProjector), `coordinate(points)`, along which it draws, and
 # `by_coordinate`, whether one camera needs that too; a method `table(pose, z_mm)` that gives its numbers for one frame
@@ -20,12 +20,12 @@ def slides_of(world: World) -> tuple[Slide, ...]:
     """Of a world's projector, in its order."""
     light = world.projector
     if isinstance(light, Projector):
-        return (Slits(light, world.radius_mm, world.translucency),)
+        return (SlitLight(light, world.radius_mm, world.translucency),)
     return light.drawn()
 
 
 def _kinds() -> list[Any]:
-    return [Slits, *(light.Slide for light in merged("lights").values() if hasattr(light, "Slide"))]
+    return [SlitLight, *(light.Slide for light in merged("lights").values() if hasattr(light, "Slide"))]
 
 
 def through(table: Any, part: Any, beam: Any) -> None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.translucency import Translucency, incidence_rad, leaving
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.lights.projector import Beam, in_pipe
-from annulus_pipe.twin.rays import Placed
-from annulus_pipe.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, jit, step_up
+from annulus_pipe.twin.rays import HeadPosition
+from annulus_pipe.twin.stretch import AT, F32, LEVEL, LIT, PixelRun, X, Y, Z, jit, step_up
 from annulus_pipe.twin.worlds.sensor_head import Projector
 
 _BINS = 2048  # of the table from cos(projected angle) to the nearest slit
@@ -34,7 +34,7 @@ class SlitTable(NamedTuple):
 
 
 @jit
-def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
+def through_slits(part: PixelRun, beam: Beam, table: SlitTable) -> None:
     """Slits by runs of pixels that share their nearest one."""
     scratch, slit_of, spread, n, v, odd = part.scratch, part.marks, part.spread, part.n, part.v, part.odd
     slits, colours, nearest, leak, blur = table.slits, table.colours, table.nearest, table.leak, beam.blur
@@ -76,7 +76,7 @@ def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
 
 
 @jit
-def _through_wall(part: Stretch, beam: Beam, table: SlitTable, i: int, first: int, end: int) -> None:
+def _through_wall(part: PixelRun, beam: Beam, table: SlitTable, i: int, first: int, end: int) -> None:
     """Pixels first..end of one slit on a wall that light enters: each edge is the sum of its light's parts, every one
     farther along the pipe and softer than it came in."""
     scratch, spread, slits, colours, leaving = part.scratch, part.spread, table.slits, table.colours, table.leaving
@@ -106,7 +106,7 @@ def _through_wall(part: Stretch, beam: Beam, table: SlitTable, i: int, first: in
         scratch[LEVEL + k] = scratch[LIT + k] * share
 
 
-class Slits:
+class SlitLight:
     """The light of a world's `Projector`. `axis` is that of the mean cone, `rims` end the pattern (rad)."""
 
     Table = SlitTable
@@ -155,7 +155,7 @@ class Slits:
         forward = away @ self.axis[3:]
         return np.asarray(forward / np.linalg.norm(away - forward[:, None] * self.axis[3:], axis=1))
 
-    def table(self, pose: Placed, z_mm: float) -> SlitTable:
+    def table(self, pose: HeadPosition, z_mm: float) -> SlitTable:
         slits = in_pipe(self._slits, pose, z_mm)
         return SlitTable(
             slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak, self._line, self._leaving

@@ -1,20 +1,21 @@
 """Pipes and the sensor heads inside them, as plain data and a seed: what the twin draws and what a score calls true.
 
 A new kind of fault in a wall goes into `features`, a new head or pipe is a function that returns a `World`, in a file
-of its own, with a line in WORLDS if it shall have a name on the command line. A wing brings its own (`wings.worlds`).
+of its own, with a line in WORLDS if it shall have a name on the command line. A wing brings its
+own (`worlds` of hooks.py).
 """
 
 from collections.abc import Callable, Mapping
 
-from annulus_pipe.twin.worlds.features import Feature, clock_text
+from annulus_pipe.hooks import merged
+from annulus_pipe.twin.worlds.features import WorldFeature, clock_text
 from annulus_pipe.twin.worlds.fittings import FITTINGS
 from annulus_pipe.twin.worlds.mirror import mirror_world
 from annulus_pipe.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus_pipe.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted, translucent
-from annulus_pipe.twin.worlds.sensor_head import Optics
+from annulus_pipe.twin.worlds.sensor_head import CameraOptics
 from annulus_pipe.twin.worlds.stereo import stereo_world
 from annulus_pipe.twin.worlds.world import World
-from annulus_pipe.wings import merged
 
 __all__ = [
     "CONTAMINATED",
@@ -22,9 +23,9 @@ __all__ = [
     "WHITE",
     "WORLDS",
     "YELLOW",
-    "Feature",
-    "Optics",
+    "CameraOptics",
     "World",
+    "WorldFeature",
     "clean_world",
     "clock_text",
     "demo_world",

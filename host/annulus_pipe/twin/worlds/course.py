@@ -18,7 +18,7 @@ from annulus_pipe.vocabulary import AnnulusError
 
 
 @dataclass(frozen=True, slots=True)
-class Joint:
+class WorldJoint:
     """Where a piece begins: how it is set to the one before, and the bead of butt fusion.
 
     The bead is two half ellipses `height_mm` high, side by side over `width_mm`, and a notch `notch_mm` deep between.
@@ -34,7 +34,7 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class WorldPiece:
     """Straight, or a bend where `bend_radius_mm` (of its axis) is given, turning towards a clock position; its radius
     goes from `radius_mm` to `end_radius_mm`. A piece inside a coupling is one with the socket's radius.
     """
@@ -44,13 +44,13 @@ class Piece:
     end_radius_mm: float | None = None
     bend_radius_mm: float = 0.0
     toward_deg: float = 90.0
-    joint: Joint | None = None
+    joint: WorldJoint | None = None
     is_gap: bool = False  # between two pipe ends
     brightness: float = 1.0  # of the world's albedo
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class WorldOpening:
     """A branch: a bore square to the pipe's axis, `deep_mm` from it."""
 
     z_mm: float
@@ -63,8 +63,8 @@ class Opening:
 class Course:
     """A pipe's pieces in order. `level_mm`: still, clear water stands that far below the axis of a level pipe."""
 
-    pieces: tuple[Piece, ...]
-    openings: tuple[Opening, ...] = ()
+    pieces: tuple[WorldPiece, ...]
+    openings: tuple[WorldOpening, ...] = ()
     level_mm: float | None = None
 
     def __post_init__(self) -> None:
@@ -147,9 +147,10 @@ class Course:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Course":
         pieces = tuple(
-            Piece(**{**one, "joint": None if one["joint"] is None else Joint(**one["joint"])}) for one in data["pieces"]
+            WorldPiece(**{**one, "joint": None if one["joint"] is None else WorldJoint(**one["joint"])})
+            for one in data["pieces"]
         )
-        return cls(pieces, tuple(Opening(**one) for one in data["openings"]), data["level_mm"])
+        return cls(pieces, tuple(WorldOpening(**one) for one in data["openings"]), data["level_mm"])
 
 
 def across(clock_deg: float) -> FloatArray:
@@ -166,7 +167,7 @@ def turned(clock_deg: float, angle: float) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle) * skew + (1 - math.cos(angle)) * skew @ skew)
 
 
-def _along(piece: Piece, origin: FloatArray, axes: FloatArray, s: float) -> tuple[FloatArray, FloatArray]:
+def _along(piece: WorldPiece, origin: FloatArray, axes: FloatArray, s: float) -> tuple[FloatArray, FloatArray]:
     if not piece.bend_radius_mm:
         return origin + axes[:, 2] * s, axes
     bend, angle = piece.bend_radius_mm, s / piece.bend_radius_mm
@@ -174,9 +175,9 @@ def _along(piece: Piece, origin: FloatArray, axes: FloatArray, s: float) -> tupl
     return origin + axes @ local, axes @ turned(piece.toward_deg, angle)
 
 
-def _set(piece: Piece, before: Piece) -> dict[str, float]:
+def _set(piece: WorldPiece, before: WorldPiece) -> dict[str, float]:
     """How a piece is set to the one before, as measured."""
-    joint = piece.joint or Joint()
+    joint = piece.joint or WorldJoint()
     end = before.radius_mm if before.end_radius_mm is None else before.end_radius_mm
     return {
         "hilo_mm": joint.hilo_mm,

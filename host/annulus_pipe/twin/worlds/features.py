@@ -15,7 +15,7 @@ _DEFECT_KIND: Mapping[FeatureKind, DefectKind] = {"pocket": "loss", "groove": "l
 
 
 @dataclass(frozen=True, slots=True)
-class Feature:
+class WorldFeature:
     """One thing wrong with a wall. Centre, extent and size as a defect list gives them.
 
     pocket: rectangle of material lost, `depth_mm` deep, walls steep over `edge_mm`. groove: the same all round.

@@ -6,7 +6,7 @@ import numpy as np
 
 from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
-from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.features import WorldFeature
 from annulus_pipe.twin.worlds.sensor_head import Led, Projector, Rod
 from annulus_pipe.twin.worlds.world import World
 
@@ -47,9 +47,9 @@ def mirror_projector() -> Projector:
 def mirror_world(seed: int = 5, radius_mm: float = 38.1, travel_mm: float = 160.0) -> World:
     """The small sensor in a 3-inch pipe (or another, of 2 to 4 inches) with a pocket, a bump and a groove."""
     features = (
-        Feature("pocket", z_mm=80.0, length_mm=16.0, depth_mm=2.0, clock_deg=100.0, arc_deg=40.0),
-        Feature("bump", z_mm=112.0, length_mm=12.0, depth_mm=2.0, clock_deg=215.0, arc_deg=18.0),
-        Feature("groove", z_mm=144.0, length_mm=8.0, depth_mm=1.0),
+        WorldFeature("pocket", z_mm=80.0, length_mm=16.0, depth_mm=2.0, clock_deg=100.0, arc_deg=40.0),
+        WorldFeature("bump", z_mm=112.0, length_mm=12.0, depth_mm=2.0, clock_deg=215.0, arc_deg=18.0),
+        WorldFeature("groove", z_mm=144.0, length_mm=8.0, depth_mm=1.0),
     )
     return World(
         mirror_camera(),

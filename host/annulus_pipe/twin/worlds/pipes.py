@@ -6,7 +6,7 @@ from dataclasses import replace
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.translucency import Translucency
-from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.features import WorldFeature
 from annulus_pipe.twin.worlds.sensor_head import Projector, Response, Rod
 from annulus_pipe.twin.worlds.world import World
 
@@ -86,10 +86,10 @@ def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
     All of them lie where every ring passes when the head travels 330 mm or more, whatever the frame rate.
     """
     features = (
-        Feature("pocket", z_mm=180.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
-        Feature("bump", z_mm=214.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
-        Feature("pocket", z_mm=246.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
-        Feature("oval", z_mm=332.0, length_mm=84.0, depth_mm=1.5, clock_deg=20.0),
+        WorldFeature("pocket", z_mm=180.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
+        WorldFeature("bump", z_mm=214.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
+        WorldFeature("pocket", z_mm=246.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
+        WorldFeature("oval", z_mm=332.0, length_mm=84.0, depth_mm=1.5, clock_deg=20.0),
     )
     return World(
         pinhole_camera(), demo_projector(), features=features, rods=demo_rods(), travel_mm=travel_mm, seed=seed

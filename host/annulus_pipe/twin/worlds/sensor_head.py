@@ -46,9 +46,9 @@ class Projector:
         return self.cones[0].half_angle - math.radians(self.margin_deg[0])
 
 
-class Light(Protocol):
-    """A projector that a wing brings (`wings.lights`), in place of a slide of slits: a dataclass, with a class `Slide`
-    of what it draws with. peak : grey levels above black, lit for nominal_us."""
+class WingLight(Protocol):
+    """A projector that a wing brings (`lights` of hooks.py), in place of a slide of slits: a dataclass, with a class
+    `Slide` of what it draws with. peak : grey levels above black, lit for nominal_us."""
 
     rings: ClassVar[int]
 
@@ -89,7 +89,7 @@ class Led:
 
 
 @dataclass(frozen=True, slots=True)
-class Optics:
+class CameraOptics:
     """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels.
 
     `balance`: white-balance gains red, green, blue, applied to light and noise before the black level is added and

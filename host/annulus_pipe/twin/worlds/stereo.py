@@ -10,8 +10,8 @@ from annulus_pipe.geometry.calibration import HeadCamera, Matrix, Vector
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import rotation_x, rotation_y, rotation_z
-from annulus_pipe.twin.worlds.features import Feature
-from annulus_pipe.twin.worlds.sensor_head import Led, Optics, Projector
+from annulus_pipe.twin.worlds.features import WorldFeature
+from annulus_pipe.twin.worlds.sensor_head import CameraOptics, Led, Projector
 from annulus_pipe.twin.worlds.world import World
 
 # Vertex (mm), full angle (deg), axis x, y of the seven cones in the first camera's frame (Alzuhiri 2022, Table 5.2).
@@ -55,10 +55,10 @@ def stereo_world(seed: int = 9, radius_mm: float = 76.2, travel_mm: float = 200.
     """
     k = radius_mm / 76.2
     features = (
-        Feature("pocket", z_mm=k * 170.0, length_mm=k * 28.0, depth_mm=k * 4.0, clock_deg=135.0, arc_deg=20.0),
-        Feature("bump", z_mm=k * 205.0, length_mm=k * 28.0, depth_mm=k * 4.0, clock_deg=315.0),
-        Feature("pocket", z_mm=k * 235.0, length_mm=k * 24.0, depth_mm=k * 2.5, clock_deg=270.0, arc_deg=14.0),
-        Feature("bump", z_mm=k * 250.0, length_mm=k * 24.0, depth_mm=k * 3.0, clock_deg=0.0),
+        WorldFeature("pocket", z_mm=k * 170.0, length_mm=k * 28.0, depth_mm=k * 4.0, clock_deg=135.0, arc_deg=20.0),
+        WorldFeature("bump", z_mm=k * 205.0, length_mm=k * 28.0, depth_mm=k * 4.0, clock_deg=315.0),
+        WorldFeature("pocket", z_mm=k * 235.0, length_mm=k * 24.0, depth_mm=k * 2.5, clock_deg=270.0, arc_deg=14.0),
+        WorldFeature("bump", z_mm=k * 250.0, length_mm=k * 24.0, depth_mm=k * 3.0, clock_deg=0.0),
     )
     first = Camera("fisheye", 1664, 1232, 556.0, 556.0, 829.4, 618.2, (-0.012, 0.0031, -0.0008, 0.0))
     second = _second_camera()
@@ -71,7 +71,7 @@ def stereo_world(seed: int = 9, radius_mm: float = 76.2, travel_mm: float = 200.
         led=Led(peak=150.0 * k, aside_mm=middle),
         wobble_deg=1.0,
         wobble_mm=0.02 * radius_mm,
-        optics=Optics(half_field_deg=_HALF_FIELD_DEG),
+        optics=CameraOptics(half_field_deg=_HALF_FIELD_DEG),
         travel_mm=travel_mm,
         seed=seed,
         others=(second,),

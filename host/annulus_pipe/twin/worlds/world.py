@@ -1,7 +1,7 @@
 """The simulated pipe and the sensor head inside it: everything a frame depends on but the light's timing.
 
 A `World` is plain data and a seed. The wall is a radius map r(clock, z) and an albedo map on one grid, both made from
-a short list of `Feature`s, so that what the renderer shows and what the score calls true are one and the same.
+a short list of `WorldFeature`s, so that what the renderer shows and what the score calls true are one and the same.
 """
 
 import math
@@ -18,13 +18,13 @@ from annulus_pipe.geometry.camera import Camera, Mirror
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.geometry.translucency import Translucency
+from annulus_pipe.hooks import merged
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.worlds.course import Course
-from annulus_pipe.twin.worlds.features import Feature
+from annulus_pipe.twin.worlds.features import WorldFeature
 from annulus_pipe.twin.worlds.paint import WHITE, print_line, stain
-from annulus_pipe.twin.worlds.sensor_head import Led, Light, Optics, Projector, Rod
+from annulus_pipe.twin.worlds.sensor_head import CameraOptics, Led, Projector, Rod, WingLight
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import merged
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
@@ -33,7 +33,7 @@ ROLL_WAVE_MM = 150.0  # of the head's roll along the pipe
 WAVES = 0.75, 0.45  # of the wobble: the two sinusoids' shares of its amplitude
 
 
-class Ground(Protocol):
+class WorldGround(Protocol):
     """What a pipe lies in. `sensors` of a head that is pulled through it there, as twin.sensors.HeadSensor."""
 
     def sensors(self, world: "World", cable: Any, clock: Any, start_tick: int, seed: int) -> Sequence[Any]: ...
@@ -44,13 +44,13 @@ class World:
     """A pipe, a sensor head, and how the head travels. Immutable; equal seeds give equal worlds."""
 
     camera: Camera
-    projector: Projector | Light
+    projector: Projector | WingLight
     radius_mm: float = 76.2
-    features: tuple[Feature, ...] = ()
+    features: tuple[WorldFeature, ...] = ()
     rods: tuple[Rod, ...] = ()
     housing_mm: float = 0.0  # radius of the camera's housing, as it sees itself in a mirror
     led: Led = field(default_factory=Led)
-    optics: Optics = field(default_factory=Optics)
+    optics: CameraOptics = field(default_factory=CameraOptics)
     albedo: tuple[float, float, float] = WHITE
     translucency: Translucency | None = None  # of a wall that light enters; None: it leaves where it came in
     texture: bool = True  # stains and a printed line
@@ -63,7 +63,7 @@ class World:
     others: tuple[HeadCamera, ...] = ()  # further cameras, on the first one's sync line; all else is in its frame
     centre_mm: tuple[float, float] = (0.0, 0.0)  # of the head: where the pipe's axis passes when it does not wobble
     mounted: tuple[Matrix, Vector] = STILL, (0.0, 0.0, 0.0)  # the first camera in the head's frame, as a HeadCamera is
-    ground: Ground | None = None  # around the pipe, for a head with sensors that look through its wall
+    ground: WorldGround | None = None  # around the pipe, for a head with sensors that look through its wall
     course: Course | None = None  # of a pipe of several pieces: then z is chainage, `radius_mm` what is calibrated with
 
     def __post_init__(self) -> None:
@@ -194,11 +194,11 @@ class World:
                 top["ground"] = merged("lights")["ground"].read(top["ground"])
             if top.get("course") is not None:
                 top["course"] = Course.from_dict(top["course"])
-            top["features"] = tuple(Feature(**feature) for feature in top["features"])
+            top["features"] = tuple(WorldFeature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
             if top.get("translucency") is not None:
                 top["translucency"] = tupled(Translucency, top["translucency"])
-            top["led"], top["optics"] = tupled(Led, top["led"]), tupled(Optics, top["optics"])
+            top["led"], top["optics"] = tupled(Led, top["led"]), tupled(CameraOptics, top["optics"])
             return tupled(cls, top)
         except (KeyError, TypeError, ValueError) as error:
             raise AnnulusError(f"world: not a world's data ({error})") from None
@@ -223,10 +223,10 @@ def _scaled(camera: Camera, k: float) -> Camera:
     )
 
 
-def _light(data: Mapping[str, Any]) -> Projector | Light:
+def _light(data: Mapping[str, Any]) -> Projector | WingLight:
     for name, kind in merged("lights").items():
         if name in data:
-            light: Light = kind.read(data)
+            light: WingLight = kind.read(data)
             return light
     return tupled(Projector, {**data, "cones": tuple(tupled(Cone, cone) for cone in data["cones"])})
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from annulus_pipe.daemon.config import HeadConfig
     from annulus_pipe.daemon.observer import Observers
+    from annulus_pipe.hooks import Sheet
     from annulus_pipe.scans.scan import Scan
     from annulus_pipe.wall.profile import Profile
     from annulus_pipe.wall.survey import Survey
-    from annulus_pipe.wings import Sheet
 
 
 def watches(config: "HeadConfig", observers: "Observers") -> None:

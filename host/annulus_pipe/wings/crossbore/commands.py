@@ -39,10 +39,10 @@ def detect_command(
     from dataclasses import replace
 
     from annulus_pipe.wings.crossbore.log_file import read_bore_log
-    from annulus_pipe.wings.crossbore.measure import Head, Log, detect, likely, on_grid
+    from annulus_pipe.wings.crossbore.measure import CapacitiveHead, Log, detect, likely, on_grid
     from annulus_pipe.wings.crossbore.picture import clock, write_bores
 
-    head = Head()
+    head = CapacitiveHead()
     if air_pf is not None:
         head = replace(head, air_ff=1000 * air_pf)
     if coupling_ff is not None:

@@ -13,7 +13,16 @@ from annulus_pipe.daemon.state import State
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wings.crossbore.measure import BORES, Gap, Head, Indication, Passage, detect, likely, on_grid
+from annulus_pipe.wings.crossbore.measure import (
+    BORES,
+    BoreIndication,
+    CapacitiveHead,
+    Gap,
+    Passage,
+    detect,
+    likely,
+    on_grid,
+)
 from annulus_pipe.wings.crossbore.measure.detect import BESIDE_MM, MERGED_MM
 from annulus_pipe.wings.crossbore.recorded import take, take_pose
 
@@ -29,12 +38,12 @@ class Bores(Observer):
         self._sectors, self._observers = sectors, observers
         observers.all.append(self)
         self._state = State.OFF
-        self._head = Head(air_ff=1000 * sectors.air_pf, coupling_ff=sectors.coupling_ff)
+        self._head = CapacitiveHead(air_ff=1000 * sectors.air_pf, coupling_ff=sectors.coupling_ff)
         self._begin()
 
     def _begin(self) -> None:
         self._passage = Passage(self._sectors.ahead_mm, KEEP_MM)
-        self._announced: list[Indication] = []
+        self._announced: list[BoreIndication] = []
         self._gaps: list[Gap] = []
         self._here_mm = self._looked_mm = float("nan")
         self._reads = self._broke = False
@@ -59,12 +68,12 @@ class Bores(Observer):
     def ending(self) -> None:
         self.look(final=True)
 
-    def look(self, final: bool = False) -> list[Indication]:
+    def look(self, final: bool = False) -> list[BoreIndication]:
         """Places that were not reported before. final : the scan is over: those ahead, too."""
         if not self._reads or (not final and abs(self._here_mm - self._looked_mm) < STEP_MM):
             return []
         self._looked_mm = self._here_mm
-        new: list[Indication] = []
+        new: list[BoreIndication] = []
         found, gaps = self._found()
         for gap in gaps:
             behind = abs(self._here_mm + self._sectors.ahead_mm - gap.to_mm) >= PAST_MM
@@ -81,7 +90,7 @@ class Bores(Observer):
         self._announced += new
         return new
 
-    def _found(self) -> tuple[list[Indication], list[Gap]]:
+    def _found(self) -> tuple[list[BoreIndication], list[Gap]]:
         """The places in all readings kept. An error here costs bores, never the scan, and is reported once."""
         try:
             accounts = [detect(on_grid(run.log, self._head), self._head) for run in self._passage.runs()]
@@ -94,7 +103,7 @@ class Bores(Observer):
             return [], []
 
 
-def in_words(one: Indication) -> str:
+def in_words(one: BoreIndication) -> str:
     """For people: "cross bore, air, at 12.340 m, 210 mm long, 97 %"."""
     assert one.kind in BORES
     sure = f"{100 * likely(one):.0f} % in simulated pipes" if one.odds else "the head wanders: no odds"

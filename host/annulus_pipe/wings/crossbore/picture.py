@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from annulus_pipe.hooks import Sheet
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings import Sheet
 from annulus_pipe.wings.crossbore.lane import Lane
 
 ROW_M = 10.0

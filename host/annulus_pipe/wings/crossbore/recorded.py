@@ -19,17 +19,17 @@ from annulus_pipe.scans.scan import Scan
 from annulus_pipe.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.vocabulary import AnnulusError, Finding
-from annulus_pipe.wall.features import Feature, FeatureKind, Measure
+from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wings.crossbore.lane import Lane, LaneMark
 from annulus_pipe.wings.crossbore.measure import (
     BORES,
-    Account,
-    Grid,
-    Head,
-    Indication,
+    BoreDetections,
+    BoreIndication,
+    CapacitiveHead,
     Passage,
+    PipeGrid,
     Run,
     detect,
     likely,
@@ -103,9 +103,9 @@ def take(passage: Passage, sample: Sample) -> bool:
     return True
 
 
-def _head(configured: Mapping[str, Any]) -> tuple[Head, float]:
+def _head(configured: Mapping[str, Any]) -> tuple[CapacitiveHead, float]:
     """The head that a recording's configuration describes; anything that describes none is passed over."""
-    usual = Head()
+    usual = CapacitiveHead()
     try:
         air_pf = untrusted.within(configured.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)
         coupling_ff = untrusted.within(configured.get("coupling_ff", usual.coupling_ff), "coupling_ff", 1.0, 1e4)
@@ -122,14 +122,14 @@ def take_pose(passage: Passage, profile: Profile, ahead_mm: float) -> None:
         passage.off(profile.z_mm, float(x), float(y))
 
 
-def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
+def _feature(one: BoreIndication, grid: PipeGrid, rolled: bool) -> Feature:
     clock, arc = ((one.phi_deg + 90.0) % 360, one.arc_deg) if rolled and math.isfinite(one.phi_deg) else (0.0, 360.0)
-    measures = [Measure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
+    measures = [FeatureMeasure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
     sector = _sector(one, grid)
     strongest = float(one.change_ff[int(np.argmax(np.abs(one.change_ff)))])
-    measures.append(Measure("change_ff", strongest))
+    measures.append(FeatureMeasure("change_ff", strongest))
     if arc < 360.0:
-        measures.append(Measure("towards_deg", clock, 2 * one.phi_sigma_deg))
+        measures.append(FeatureMeasure("towards_deg", clock, 2 * one.phi_sigma_deg))
     where = f"sector {sector}" if sector else "all sectors"
     how = "" if rolled else "; the head's roll is not known, and so no direction"
     fill = {"part": "air above water"}.get(str(one.kind), str(one.kind))
@@ -138,12 +138,12 @@ def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
     )
 
 
-def _sector(one: Indication, grid: Grid) -> int:
+def _sector(one: BoreIndication, grid: PipeGrid) -> int:
     """Number, from 1, of the sector that sees most of it; 0 where all see as much."""
     return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
 
 
-def _lane(account: Account, grid: Grid, run: Run) -> Lane:
+def _lane(account: BoreDetections, grid: PipeGrid, run: Run) -> Lane:
     marks = tuple(
         LaneMark(
             str(one.kind),

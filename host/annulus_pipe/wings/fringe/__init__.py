@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
+    from annulus_pipe.hooks import WingResults
     from annulus_pipe.storage.place import Where
     from annulus_pipe.twin.worlds import World
-    from annulus_pipe.wings import Results
     from annulus_pipe.wings.fringe.job import FringeJob
     from annulus_pipe.wings.fringe.pipe import FringePipeJob
 
@@ -31,7 +31,7 @@ def opens(scan: "Where", calibration: "Where | None", by: str) -> "FringeJob | F
     return open_fringe(scan, calibration, "cameras" if by == "cameras" else "slide")
 
 
-def measured(job: "FringeJob | FringePipeJob", *place: Any, **how: Any) -> "Results":
+def measured(job: "FringeJob | FringePipeJob", *place: Any, **how: Any) -> "WingResults":
     from annulus_pipe.wings.fringe.results import measured as of
 
     return of(job, *place, **how)

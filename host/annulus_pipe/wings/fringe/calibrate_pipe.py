@@ -18,8 +18,8 @@ from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.storage.calibration_file import load_part, load_sections, update_calibration
 from annulus_pipe.vocabulary import AnnulusError, Label
 from annulus_pipe.wings.fringe.measure import (
+    CleanPipeFit,
     FringeHead,
-    PipeCalibration,
     Shots,
     Transfer,
     calibrate_pipe,
@@ -40,7 +40,7 @@ class FringePipeCalibration:
     """The head with its projector, how well that is known, and the camera's curve as it was used."""
 
     head: FringeHead
-    found: PipeCalibration
+    found: CleanPipeFit
     curve: Transfer
     curve_told: bool
 

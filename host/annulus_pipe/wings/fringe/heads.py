@@ -9,8 +9,8 @@ import numpy as np
 from annulus_pipe.geometry.calibration import STILL, HeadCamera, Matrix, matrix_of, vector_of
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.worlds.features import Feature
-from annulus_pipe.twin.worlds.sensor_head import Led, Optics, Rod
+from annulus_pipe.twin.worlds.features import WorldFeature
+from annulus_pipe.twin.worlds.sensor_head import CameraOptics, Led, Rod
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.wings.fringe.light import Fringe, Fringes
 from annulus_pipe.wings.fringe.measure import FringeProjector
@@ -21,7 +21,7 @@ _MODULES = 4  # of Model B, and cameras of Model C
 _SIDE = Camera("fisheye", 640, 480, 280.0, 280.0, 319.5, 239.5, (-0.01, 0.003, -0.0006, 0.0))
 _BASELINE_MM = 40.0  # of a pair, along the pipe
 _MIRRORED_MM = 95.0  # ahead of the cameras, where the mirror shows the light of Model C
-_QUIET = Optics(blur_px=0.9, read=0.8, shot=0.01)
+_QUIET = CameraOptics(blur_px=0.9, read=0.8, shot=0.01)
 
 
 def series_world(seed: int = 3, radius_mm: float = 101.6, travel_mm: float = 60.0) -> World:
@@ -99,14 +99,14 @@ def _around(cameras: list[HeadCamera], light: Fringes, radius_mm: float, travel_
     )
 
 
-def _features(middle_mm: float, radius_mm: float) -> tuple[Feature, ...]:
+def _features(middle_mm: float, radius_mm: float) -> tuple[WorldFeature, ...]:
     """A pocket, a bump, and scratches along and round the pipe."""
     along_deg = math.degrees(2.0 / radius_mm)
     return (
-        Feature("pocket", z_mm=middle_mm - 6.0, length_mm=14.0, depth_mm=1.5, clock_deg=80.0, arc_deg=14.0),
-        Feature("bump", z_mm=middle_mm + 4.0, length_mm=22.0, depth_mm=1.5, clock_deg=215.0),
-        Feature("pocket", z_mm=middle_mm, length_mm=22.0, depth_mm=0.6, clock_deg=310.0, arc_deg=along_deg),
-        Feature("pocket", z_mm=middle_mm + 8.0, length_mm=4.0, depth_mm=0.6, clock_deg=150.0, arc_deg=24.0),
+        WorldFeature("pocket", z_mm=middle_mm - 6.0, length_mm=14.0, depth_mm=1.5, clock_deg=80.0, arc_deg=14.0),
+        WorldFeature("bump", z_mm=middle_mm + 4.0, length_mm=22.0, depth_mm=1.5, clock_deg=215.0),
+        WorldFeature("pocket", z_mm=middle_mm, length_mm=22.0, depth_mm=0.6, clock_deg=310.0, arc_deg=along_deg),
+        WorldFeature("pocket", z_mm=middle_mm + 8.0, length_mm=4.0, depth_mm=0.6, clock_deg=150.0, arc_deg=24.0),
     )
 
 

@@ -17,7 +17,7 @@ from annulus_pipe.scans.scan import Scan, open_scan
 from annulus_pipe.storage.calibration_file import load_part, load_sections
 from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
-from annulus_pipe.wings.fringe.measure import FringeHead, FringeProjector, Points, Transfer, View, told_elsewhere
+from annulus_pipe.wings.fringe.measure import FringeHead, FringeProjector, FringeView, Points, Transfer, told_elsewhere
 
 By = Literal["slide", "cameras"]  # what says how high a point is: its phase, or where two cameras' phases agree
 Box = tuple[tuple[float, float], tuple[float, float]]  # least and most x, y, mm
@@ -64,7 +64,7 @@ class FringeJob:
     flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
     findings: tuple[Finding, ...]
     by: By = "slide"
-    refuses: Mapping[str, str] = field(default_factory=dict)  # see wings.Job
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.Job
 
 
 def open_fringe(scan: Where, calibration: Where, by: By = "slide") -> FringeJob:
@@ -188,7 +188,8 @@ def check_order(
     if not len(points.base):
         return
     views = [
-        (View.of(one, job.projector, x[:, None] * np.array(job.head.motion)), images) for one, images, x in taken[:2]
+        (FringeView.of(one, job.projector, x[:, None] * np.array(job.head.motion)), images)
+        for one, images, x in taken[:2]
     ]
     if (elsewhere := told_elsewhere(views, points, drift_sigma=DRIFT)) is not None:
         height, there, here = elsewhere

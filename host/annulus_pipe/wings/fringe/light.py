@@ -15,13 +15,13 @@ import numpy as np
 from annulus_pipe.geometry.calibration import STILL, Calibration, matrix_of, vector_of
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.twin.lights.projector import Beam
-from annulus_pipe.twin.rays import Placed
-from annulus_pipe.twin.stretch import F32, LEVEL, LIT, Stretch, X, Y, Z, jit
+from annulus_pipe.twin.rays import HeadPosition
+from annulus_pipe.twin.stretch import F32, LEVEL, LIT, PixelRun, X, Y, Z, jit
 from annulus_pipe.twin.worlds.world import World, tupled
 from annulus_pipe.wings.fringe.measure import (
     FringeProjector,
-    Lamp,
     RingSlide,
+    SlideLamp,
     lamps_to_list,
     projector_to_dict,
     ring_slide,
@@ -39,7 +39,7 @@ class FringeTable(NamedTuple):
 
 
 @jit
-def through_fringes(part: Stretch, beam: Beam, table: FringeTable) -> None:
+def through_fringes(part: PixelRun, beam: Beam, table: FringeTable) -> None:
     scratch, spread, v, odd, numbers = part.scratch, part.spread, part.v, part.odd, table.numbers
     r00, r01, r02 = table.rotation[0, 0], table.rotation[0, 1], table.rotation[0, 2]
     r10, r11, r12 = table.rotation[1, 0], table.rotation[1, 1], table.rotation[1, 2]
@@ -100,7 +100,7 @@ class FringeSlide:
         """(N, 3) mm in the head's frame -> (N,) rad: what the slide draws along."""
         return self._slide.phase(points)
 
-    def table(self, pose: Placed, z_mm: float) -> FringeTable:
+    def table(self, pose: HeadPosition, z_mm: float) -> FringeTable:
         turn = (self._rotation @ pose.rotation).astype(np.float32)
         return FringeTable(turn, self._numbers, self._field, self._modulation, self._colour)
 
@@ -175,7 +175,7 @@ class Fringes:
             slide = replace(
                 one.slide, centre_mm=vector_of(centre), rotation=matrix_of(np.array(one.slide.rotation) @ turn.T)
             )
-            lamps.append(Lamp(slide, one.cameras, one.slots))
+            lamps.append(SlideLamp(slide, one.cameras, one.slots))
         others = []
         for other in world.others:
             own = np.array(other.rotation) @ turn.T

@@ -21,7 +21,7 @@ from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.reprocess.places import require_near
 from annulus_pipe.scans.scan import Scan, open_scan
 from annulus_pipe.storage.calibration_file import load_part
-from annulus_pipe.storage.place import Place, Where
+from annulus_pipe.storage.place import StoragePath, Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.apart import sound_wall_apart
 from annulus_pipe.wall.centreline import Centreline, Piece
@@ -43,10 +43,10 @@ from annulus_pipe.wings.fringe.measure import (
     light_of,
     measure_pipe,
 )
-from annulus_pipe.wings.fringe.measure.placement import Head
+from annulus_pipe.wings.fringe.measure.placement import PlacedHead
 from annulus_pipe.wings.fringe.measure.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS
-from annulus_pipe.wings.fringe.windows import Arrays, Measuring, Window, window_of, without_frames
+from annulus_pipe.wings.fringe.windows import Arrays, FringeWindow, FringeWindowWork, window_of, without_frames
 
 Progress = Callable[[str, int, int], None]
 
@@ -73,7 +73,7 @@ class FringePipeJob:
     roll_rad: tuple[float, ...] | None  # None where nobody said
     window: int  # flashes
     findings: tuple[Finding, ...]
-    refuses: Mapping[str, str] = field(default_factory=dict)  # see wings.Job
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.Job
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ def _moved(
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _PipePart:
     """What one window says of the wall."""
 
     map: PipeMap
@@ -200,31 +200,34 @@ class _Part:
         return {name: getattr(self.map, name) for name in _MAP} | head | {"noise": np.array(self.map.noise)}
 
     @staticmethod
-    def of(job: FringePipeJob, arrays: Arrays) -> "_Part":
+    def of(job: FringePipeJob, arrays: Arrays) -> "_PipePart":
         head: dict[str, Any] = {name: arrays[f"head.{name}"] for name in _HEAD}
         head |= {name: float(one) for name, one in head.items() if not one.ndim}
         first, second, third = (float(one) for one in arrays["noise"])
         own = {name: arrays[name] for name in _MAP}
-        return _Part(PipeMap(**own, head=Head(job.eyes, **head), noise=(first, second, third)))
+        return _PipePart(PipeMap(**own, head=PlacedHead(job.eyes, **head), noise=(first, second, third)))
 
 
 _MAP = tuple(one.name for one in fields(PipeMap) if one.name not in ("head", "noise"))
-_HEAD = tuple(one.name for one in fields(Head) if one.name != "eyes")
+_HEAD = tuple(one.name for one in fields(PlacedHead) if one.name != "eyes")
 
 
-def measured_window(job: FringePipeJob, window: Window, beside: dict[str, Any]) -> _Part:
+def measured_window(job: FringePipeJob, window: FringeWindow, beside: dict[str, Any]) -> _PipePart:
     each = [(k, eye, i) for k, flash in enumerate(window.flashes) for eye, i in flash]
     images = np.array([_light(job, window.part, eye, i) for _, eye, i in each])
     shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
     known = window.known
     try:
-        return _Part(measure_pipe(job.eyes, shots, known["z_mm"], job.radius_mm, roll_rad=known.get("roll_rad")))
+        return _PipePart(measure_pipe(job.eyes, shots, known["z_mm"], job.radius_mm, roll_rad=known.get("roll_rad")))
     except AnnulusError as error:
         raise AnnulusError(f"{job.scan.path}: {error}") from None
 
 
 def reconstruct_fringe_pipe(
-    job: FringePipeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+    job: FringePipeJob,
+    progress: Progress | None = None,
+    executor: Executor = in_process,
+    place: StoragePath | None = None,
 ) -> MeasuredPipe:
     """The wall. place : where windows are kept, and found again. AnnulusError where nothing can be measured."""
     started = time.perf_counter()
@@ -235,7 +238,7 @@ def reconstruct_fringe_pipe(
         size, last = max(count, size), 0
     starts = [*range(0, last, size // 2), last]
     report("fringes", 0, count)
-    work = Measuring(without_frames(job), measured_window, _Part.of, place)
+    work = FringeWindowWork(without_frames(job), measured_window, _PipePart.of, place)
     parts, z, slipped, made = [], np.array(job.z_mm), np.zeros(count, bool), 0
     for number, start in enumerate(starts):
         window = slice(start, start + size)

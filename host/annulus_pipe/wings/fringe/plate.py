@@ -23,14 +23,14 @@ from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.reprocess.executors import Executor, in_process
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError, Finding, first_few
 from annulus_pipe.wings.fringe.job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order
 from annulus_pipe.wings.fringe.measure import (
+    FringeView,
     Heights,
     Points,
     Transfer,
-    View,
     edged,
     find_steps,
     heights,
@@ -44,7 +44,7 @@ from annulus_pipe.wings.fringe.measure import (
 )
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
-from annulus_pipe.wings.fringe.windows import Arrays, Measuring, Window, window_of, without_frames
+from annulus_pipe.wings.fringe.windows import Arrays, FringeWindow, FringeWindowWork, window_of, without_frames
 
 Progress = Callable[[str, int, int], None]
 
@@ -78,10 +78,10 @@ def _curve(job: FringeJob) -> FringeJob:
         return replace(job, curve=named[0])
     box, step = _box(job, one, odometer), COARSE * cell_mm(job)
     coarse = Points.plate(np.arange(*box[0], step), np.arange(*box[1], step), job.distance_mm)
-    view = View.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
+    view = FringeView.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
     misfits = []
     for curve in dict.fromkeys([*named, *usual]):
-        images, _ = _Frames(replace(job, curve=curve), _first(job), {}).of(one)
+        images, _ = _WindowFrames(replace(job, curve=curve), _first(job), {}).of(one)
         misfits.append((_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)), curve))
     misfit, best = min(misfits, key=lambda one: one[0])
     text = (
@@ -93,7 +93,7 @@ def _curve(job: FringeJob) -> FringeJob:
 
 
 def reconstruct_fringe(
-    job: FringeJob, progress: Progress | None = None, executor: Executor = in_process, place: Place | None = None
+    job: FringeJob, progress: Progress | None = None, executor: Executor = in_process, place: StoragePath | None = None
 ) -> Plate:
     """The heights of the plate. place : where windows are kept, and found again. AnnulusError where nothing can be
     measured."""
@@ -107,8 +107,8 @@ def reconstruct_fringe(
     report("fringes", 0, count)
     if job.by == "cameras":
         job = _phased(job)
-    work = Measuring(without_frames(job), measured_window, _Part.of, place)
-    parts: list[_Part] = []
+    work = FringeWindowWork(without_frames(job), measured_window, _PlatePart.of, place)
+    parts: list[_PlatePart] = []
     made = 0
     for k, start in enumerate(starts):
         low = -math.inf if k == 0 else (starts[k] + starts[k - 1] + WINDOW - 1) / 2
@@ -125,11 +125,11 @@ def reconstruct_fringe(
     return replace(_joined(job, parts, started), windows=len(starts), made=made)
 
 
-class _Frames:
+class _WindowFrames:
     """Splines of the frames of one window, read once each, dropped when the window has gone on. held : (spline,
     saturated pixels) by index and camera, which the next window of this process takes over."""
 
-    def __init__(self, job: FringeJob, window: Window, held: dict[Any, Any]) -> None:
+    def __init__(self, job: FringeJob, window: FringeWindow, held: dict[Any, Any]) -> None:
         self._job, self._window, self._held = job, window, held
         frames = window.part.frames
         wanted = {(frames[i].index, camera) for _, seen in window.flashes for camera, i in seen.items()}
@@ -157,13 +157,13 @@ class _Frames:
         return out
 
 
-def _first(job: FringeJob) -> Window:
+def _first(job: FringeJob) -> FringeWindow:
     """The first window, for what is decided once for a scan."""
     return window_of(job.scan, 0, job.flashes[:WINDOW], lambda flash: [*flash[1].values()], {})
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _PlatePart:
     """What one window says: where its frames stand, the heights of its cells, node (i, j) at (i, j) cell mm."""
 
     start: int
@@ -175,34 +175,34 @@ class _Part:
     found: Heights | None  # None where the slide lit nothing
     scale: float = 1.0  # of the motion over x_mm, where the frames contradict x_mm beyond chance
     apart: float = 1.0  # how many times their sigma two cameras differ
-    saturated: IntArray = field(default_factory=lambda: np.empty((0, 4), np.int64))  # see _Frames.saturated
+    saturated: IntArray = field(default_factory=lambda: np.empty((0, 4), np.int64))  # see _WindowFrames.saturated
 
     def arrays(self) -> Arrays:
         own = {name: getattr(self, name) for name in _PART}
         return own if self.found is None else own | {f"found.{name}": getattr(self.found, name) for name in _HEIGHTS}
 
     @staticmethod
-    def of(job: FringeJob, arrays: Arrays) -> "_Part":
+    def of(job: FringeJob, arrays: Arrays) -> "_PlatePart":
         own = {name: arrays[name] if arrays[name].ndim else arrays[name].item() for name in _PART}
         lit = "found.flag" in arrays
         found = Heights(**{name: arrays[f"found.{name}"] for name in _HEIGHTS}) if lit else None
-        return _Part(**own, found=found)
+        return _PlatePart(**own, found=found)
 
 
-_PART = tuple(one.name for one in fields(_Part) if one.name != "found")
+_PART = tuple(one.name for one in fields(_PlatePart) if one.name != "found")
 _HEIGHTS = tuple(one.name for one in fields(Heights))
 
 
-def measured_window(job: FringeJob, window: Window, beside: dict[str, Any]) -> _Part:
-    frames = _Frames(job, window, beside)
+def measured_window(job: FringeJob, window: FringeWindow, beside: dict[str, Any]) -> _PlatePart:
+    frames = _WindowFrames(job, window, beside)
     known = window.known
     part = _window(replace(job, flashes=window.flashes), frames, known["start"], known["share"], known.get("before_mm"))
     return replace(part, saturated=frames.saturated())
 
 
 def _window(
-    job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before_mm: FloatArray | None
-) -> _Part:
+    job: FringeJob, frames: _WindowFrames, start: int, share: tuple[float, float], before_mm: FloatArray | None
+) -> _PlatePart:
     """job : of the window's flashes. before_mm : where the window before it has the frames that both have."""
     window = job.flashes
     odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), cell_mm(job)
@@ -215,7 +215,7 @@ def _window(
     for one, box in zip(cameras, boxes, strict=True):
         images, which = frames.of(one)
         coarse = Points.plate(np.arange(*box[0], COARSE * cell), np.arange(*box[1], COARSE * cell), job.distance_mm)
-        view = View.of(one, job.projector, odometer[which, None] * ahead)
+        view = FringeView.of(one, job.projector, odometer[which, None] * ahead)
         misfits.append(_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)))
         taken.append((one, images, which, coarse))
         if misfits[-1] > MISFIT_MAX:
@@ -249,7 +249,7 @@ def _window(
         place += float(np.mean(before_mm - place[: len(before_mm)]))
     measured, lit, noises = [], np.zeros((0, 3)), []
     for one, images, which, coarse in taken:
-        view = View.of(one, job.projector, place[which, None] * ahead)
+        view = FringeView.of(one, job.projector, place[which, None] * ahead)
         first = heights(view, images, coarse, drift_sigma=DRIFT)
         good = first.flag == GOOD
         lit = np.concatenate([lit, coarse.base[good]])
@@ -258,7 +258,7 @@ def _window(
     axis = int(np.argmax(np.abs(ahead[:2])))
     none = np.empty(0, np.int64)
     if len(lit) < 9:
-        return _Part(start, place, sigma, slipped, none, none, None, scale)
+        return _PlatePart(start, place, sigma, slipped, none, none, None, scale)
     # nodes of this window's share along the motion, and some more for what looks at neighbours
     ends = [_at(share[k] - start, place) * ahead[axis] for k in (0, 1)]
     middle = float(np.mean([np.mean(box[axis]) for box in boxes]) - place.mean() * ahead[axis])
@@ -270,7 +270,7 @@ def _window(
             least, most = max(least, low - MARGIN * cell), min(most, high + MARGIN * cell)
         nodes.append(np.arange(math.ceil(least / cell), math.floor(most / cell) + 1))
     if min(map(len, nodes)) < 1:
-        return _Part(start, place, sigma, slipped, none, none, None, scale)
+        return _PlatePart(start, place, sigma, slipped, none, none, None, scale)
     grid = Points.plate(nodes[0] * cell, nodes[1] * cell, job.distance_mm)
     blurs = []
     if job.by == "cameras":
@@ -278,7 +278,7 @@ def _window(
         measured.append(_by_cameras(job, [one[:3] for one in taken], place, grid, (noise[0], noise[1], noise[2])))
         blurs.append(cell / 2)
     for (one, images, which, _), noise in zip(taken if job.by == "slide" else [], noises, strict=False):
-        view = View.of(one, job.projector, place[which, None] * ahead)
+        view = FringeView.of(one, job.projector, place[which, None] * ahead)
         found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
         measured.append(_certain(view, grid, found, job.head.rms_rad))
         blurs.append(blur or cell / 2)
@@ -292,12 +292,12 @@ def _window(
         np.asarray(getattr(both, name))[own] for name in ("height_mm", "sigma_mm", "dc", "ac", "misfit", "used", "flag")
     )
     share_of = Heights(height, spread, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
-    return _Part(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
+    return _PlatePart(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
 
 
 def _phased(job: FringeJob) -> FringeJob:
     """The same, the slide's phase and period as the first window's cameras see them."""
-    frames = _Frames(job, _first(job), {})
+    frames = _WindowFrames(job, _first(job), {})
     window = job.flashes[:WINDOW]
     odometer = np.array([x for x, _ in window])
     boxes = [_box(job, one, odometer) for one in job.head.cameras]
@@ -345,7 +345,7 @@ def _misfit(found: Heights) -> float:
     return float(np.median(share)) if len(share) else 0.0
 
 
-def _certain(view: View, grid: Points, found: Heights, rms_rad: float) -> Heights:
+def _certain(view: FringeView, grid: Points, found: Heights, rms_rad: float) -> Heights:
     """Without the heights that are none: farther than half a fringe from the plate where the fit began, or known to
     less than a phase is worth. Sigma has the calibration's own: what the slide's phase was off on the plate it was
     calibrated on lies as far about here, and no number of frames makes it less."""
@@ -390,7 +390,7 @@ def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> Box:
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
-def _joined(job: FringeJob, parts: Sequence[_Part], started: float) -> Plate:
+def _joined(job: FringeJob, parts: Sequence[_PlatePart], started: float) -> Plate:
     some = [part for part in parts if part.found is not None]
     if not some:
         raise AnnulusError(f"{job.scan.path}: shows no fringes of this slide on the plate, nothing to measure")
@@ -443,11 +443,11 @@ def _joined(job: FringeJob, parts: Sequence[_Part], started: float) -> Plate:
 
 def _findings(
     job: FringeJob,
-    parts: Sequence[_Part],
+    parts: Sequence[_PlatePart],
     slipped: BoolArray,
     untold: dict[str, int],
     lit: BoolArray,
-    some: Sequence[_Part],
+    some: Sequence[_PlatePart],
 ) -> list[Finding]:
     out = []
     if slipped.any():

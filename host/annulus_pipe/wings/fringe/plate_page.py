@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.report.account import Account
+from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
 from annulus_pipe.report.pdf import Paper
 from annulus_pipe.report.ply import write_ply
@@ -26,7 +26,7 @@ SCALE_PERCENTILES = (0.5, 99.5)  # of the heights, at the ends of the colour bar
 QUANTILES = (5, 50, 95)
 
 
-def write_plate(plate: Plate, account: Account, out: Path, *, paper: Paper | None = None) -> dict[str, Any]:
+def write_plate(plate: Plate, account: ScanAccount, out: Path, *, paper: Paper | None = None) -> dict[str, Any]:
     """Write every result file of a plate into the folder `out`. Returns what summary.json says. paper : of report.pdf.
 
     Files are made in a folder beside and moved into place at the end, summary.json last, as those of a pipe are.
@@ -55,7 +55,7 @@ def write_plate(plate: Plate, account: Account, out: Path, *, paper: Paper | Non
     return summary
 
 
-def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
+def _summary(plate: Plate, account: ScanAccount, files_ms: float) -> dict[str, Any]:
     known = np.isfinite(plate.height_mm)
     quantiles = np.percentile(plate.sigma_mm[known], QUANTILES) if known.any() else [math.nan] * 3
     off = plate.places_mm - plate.places_mm[0] - (plate.odometer_mm - plate.odometer_mm[0])

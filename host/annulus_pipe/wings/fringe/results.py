@@ -4,12 +4,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from annulus_pipe.hooks import WingResults
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
-from annulus_pipe.report import Account, Paper, write
+from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.reprocess.executors import Executor
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.wall.conformity import judge
-from annulus_pipe.wings import Results
 from annulus_pipe.wings.fringe.job import FringeJob
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, Progress, reconstruct_fringe_pipe
@@ -17,7 +17,7 @@ from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from annulus_pipe.wings.fringe.plate_page import write_plate
 
 if TYPE_CHECKING:
-    from annulus_pipe.cli.results import Told
+    from annulus_pipe.cli.results import ReportContext
 
 BY = {
     "slide": "the slide: its calibrated phase says the height",
@@ -28,14 +28,14 @@ BY = {
 def measured(
     job: FringeJob | FringePipeJob,
     executor: Executor,
-    place: Place,
+    place: StoragePath,
     out: Path,
-    account: "Told",
+    account: "ReportContext",
     *,
     progress: Progress,
     paper: Paper | None,
     keep: bool,
-) -> Results:
+) -> WingResults:
     """All result files, into `out`. place, keep : windows are kept there, and found again."""
     kept = place if keep else None
     if isinstance(job, FringePipeJob):
@@ -43,11 +43,13 @@ def measured(
     return _of_plate(reconstruct_fringe(job, progress, executor, kept), job, account, out, paper)
 
 
-def _of_pipe(measured: MeasuredPipe, job: FringePipeJob, account: "Told", out: Path, paper: Paper | None) -> Results:
+def _of_pipe(
+    measured: MeasuredPipe, job: FringePipeJob, account: "ReportContext", out: Path, paper: Paper | None
+) -> WingResults:
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
     verdict = None if account.limits is None else judge(measured.survey, account.limits)
-    rows = Account(
+    rows = ScanAccount(
         account.source, counts, drops, measured.timing_ms, measured.findings, origin=account.origin, verdict=verdict
     )
     seen = measured.map
@@ -60,14 +62,16 @@ def _of_pipe(measured: MeasuredPipe, job: FringePipeJob, account: "Told", out: P
         "light": seen.dc,
         "modulation": seen.modulation,
     }
-    return Results(write(measured.survey, rows, out, depth=depth, paper=paper), None, measured.windows, measured.made)
+    return WingResults(
+        write(measured.survey, rows, out, depth=depth, paper=paper), None, measured.windows, measured.made
+    )
 
 
-def _of_plate(plate: Plate, job: FringeJob, account: "Told", out: Path, paper: Paper | None) -> Results:
+def _of_plate(plate: Plate, job: FringeJob, account: "ReportContext", out: Path, paper: Paper | None) -> WingResults:
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
-    summary = write_plate(plate, Account(account.source, counts, drops, plate.timing_ms), out, paper=paper)
-    return Results(summary, tuple(_lines(summary, counts, plate.by)), plate.windows, plate.made)
+    summary = write_plate(plate, ScanAccount(account.source, counts, drops, plate.timing_ms), out, paper=paper)
+    return WingResults(summary, tuple(_lines(summary, counts, plate.by)), plate.windows, plate.made)
 
 
 def _lines(summary: Mapping[str, Any], counts: Mapping[str, int], by: str) -> Iterator[str]:

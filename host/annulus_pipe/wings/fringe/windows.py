@@ -18,25 +18,25 @@ from annulus_pipe.reprocess.ranges import FOLDER, identity, part_of
 from annulus_pipe.reprocess.versions import address, digest_of, measured_with
 from annulus_pipe.scans.scan import Scan
 from annulus_pipe.storage.arrays import require_plain_npz
-from annulus_pipe.storage.place import Place
+from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 
 Arrays = Mapping[str, Any]
 BYTES_MAX = 1 << 30  # of one array of a kept window, bytes: a map of 24 frames of a camera of 2 Mpixel is 30 MB
 
 
-class Measured(Protocol):
+class WindowPart(Protocol):
     """What a window comes to, as arrays and back."""
 
     def arrays(self) -> Arrays: ...
 
 
 Job = TypeVar("Job")
-Part = TypeVar("Part", bound=Measured)
+Part = TypeVar("Part", bound=WindowPart)
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class FringeWindow:
     """Some flashes of a scan. part : the scan's frames of those, and nothing else of it; flashes : as the job has them,
     with numbers into the part's frames; known : what else the window follows from, arrays and numbers by name."""
 
@@ -46,11 +46,11 @@ class Window:
     known: Mapping[str, Any]
 
 
-def window_of(scan: Scan, number: int, flashes: Any, frames: Callable[[Any], list[int]], known: Arrays) -> Window:
+def window_of(scan: Scan, number: int, flashes: Any, frames: Callable[[Any], list[int]], known: Arrays) -> FringeWindow:
     """frames : the numbers of a flash's frames in the scan."""
     kept = sorted({i for flash in flashes for i in frames(flash)})
     where = {i: k for k, i in enumerate(kept)}
-    return Window(number, part_of(scan, kept), tuple(_renumbered(flash, where) for flash in flashes), known)
+    return FringeWindow(number, part_of(scan, kept), tuple(_renumbered(flash, where) for flash in flashes), known)
 
 
 def _renumbered(flash: Any, where: Mapping[int, int]) -> Any:
@@ -61,26 +61,26 @@ def _renumbered(flash: Any, where: Mapping[int, int]) -> Any:
 
 
 @dataclass(frozen=True)
-class Measuring(Generic[Job, Part]):
+class FringeWindowWork(Generic[Job, Part]):
     """Work of the executors: a window to its part. job : its scan's frames left out. measure, read : functions of a
     module. place : where parts are kept; None: they come back whole. beside : what one process keeps from window to
     window; it does not travel."""
 
     job: Job
-    measure: Callable[[Job, Window, dict[str, Any]], Part]
+    measure: Callable[[Job, FringeWindow, dict[str, Any]], Part]
     read: Callable[[Job, Arrays], Part]
-    place: Place | None = None
+    place: StoragePath | None = None
     beside: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "beside": {}}
 
-    def ready(self) -> Callable[[Window], tuple[str, bool, Part | None]]:
+    def ready(self) -> Callable[[FringeWindow], tuple[str, bool, Part | None]]:
         """(window) -> name of its file, whether it was made now, and the part where nothing is kept."""
         place = self.place
         given = "" if place is None else address(measured_with(), digest_of("wings/fringe"), self.job)
 
-        def do(one: Window) -> tuple[str, bool, Part | None]:
+        def do(one: FringeWindow) -> tuple[str, bool, Part | None]:
             if place is None:
                 return "", True, self.measure(self.job, one, self.beside)
             name = f"{FOLDER}/{one.number:06d}-{address(given, one.flashes, one.known, identity(one.part))[:32]}.npz"
@@ -109,7 +109,7 @@ class Measuring(Generic[Job, Part]):
         except (OSError, EOFError, ValueError, KeyError, TypeError, IndexError, BadZipFile) as error:
             raise AnnulusError(f"{self.place}: {name}: not a window of this scan ({error})") from None
 
-    def of(self, executor: Executor, one: Window) -> tuple[Part, bool]:
+    def of(self, executor: Executor, one: FringeWindow) -> tuple[Part, bool]:
         """The part of a window, and whether it was made now. Raises what measuring it raised."""
         [(_, outcome)] = list(executor(self, [one]))
         if isinstance(outcome, Failed):

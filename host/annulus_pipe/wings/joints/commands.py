@@ -95,7 +95,7 @@ def scan_command(
     (status not 0), --resume goes on. `annulus joint register` lays the raster on the joint's CT.
     """
     from annulus_pipe.wings.joints.bench import Addresses, opened_bench, twin_bench
-    from annulus_pipe.wings.joints.scan import Plan, log_of, scan
+    from annulus_pipe.wings.joints.scan import RasterPlan, log_of, scan
 
     given = [one is not None for one in (port, linear_stage, probe)]
     if twin == any(given) or any(given) != all(given):
@@ -103,7 +103,7 @@ def scan_command(
     queries = {name: key for name, key in (("amplitude_mv", amplitude), ("phase_mv", phase)) if key}
     if not twin and not queries:
         raise AnnulusError("give --amplitude, --phase or both: what the probe is asked for")
-    plan = Plan(angles, from_mm, to_mm, step_mm, averages, settle_ms, steps_per_turn, step_us)
+    plan = RasterPlan(angles, from_mm, to_mm, step_mm, averages, settle_ms, steps_per_turn, step_us)
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())

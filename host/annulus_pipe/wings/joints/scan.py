@@ -37,7 +37,7 @@ class LinearAxis(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RasterPlan:
     """What is to be scanned. Kept in the log; `resume` insists on it."""
 
     angles: int = 100
@@ -105,7 +105,7 @@ def scan(
     port: str,
     stage: LinearAxis,
     probe: Probe,
-    plan: Plan,
+    plan: RasterPlan,
     out: Path,
     *,
     resume: bool = False,
@@ -160,7 +160,7 @@ def scan(
     return Scanned(total, measured, retries, time.monotonic() - begun)
 
 
-def _log(plan: Plan, out: Path, probe: Probe, boot: int, *, resume: bool, homed: bool) -> RasterLog:
+def _log(plan: RasterPlan, out: Path, probe: Probe, boot: int, *, resume: bool, homed: bool) -> RasterLog:
     path = log_of(out)
     wanted = asdict(plan)
     if not (resume and path.exists()):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from annulus_pipe.controller import PIN_DIRECTION, PIN_INTERLOCK, PIN_STEP
-from annulus_pipe.twin.emulated import Board, open_board
+from annulus_pipe.twin.emulated import VirtualBoard, open_board
 from annulus_pipe.twin.line import Line, PtyLine, TcpLine
 from annulus_pipe.twin.real_time import rounds
 
@@ -93,7 +93,7 @@ class NearFieldRig:
 
     def __init__(
         self,
-        board: Board,
+        board: VirtualBoard,
         field: Field = joint_field,
         *,
         steps_per_turn: int = 400,

@@ -33,7 +33,7 @@ ENCODER_S = 0.005  # until the last edge has been counted. test_an_encoder_tells
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SweepPlan:
     """What is to be shot. Kept in the file; `resume` insists on it."""
 
     code: str = "mpsl25-stuffed"
@@ -101,7 +101,7 @@ class Acquired:
 def acquire(
     port: str,
     digitizer: Digitizer,
-    plan: Plan,
+    plan: SweepPlan,
     out: Path,
     *,
     resume: bool = False,
@@ -181,7 +181,7 @@ def acquire(
     )
 
 
-def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
+def _turn(client: Client, port: str, plan: SweepPlan, step: int) -> None:
     """The turntable to a step, believed only as far as an encoder confirms it. AnnulusError where one does not."""
     before = status_of(client)
     move_turntable(client, port, step, plan.step_us, hold=True)
@@ -200,7 +200,7 @@ def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
 class _Sweep:
     """The traces so far, and their file."""
 
-    def __init__(self, plan: Plan, out: Path, boot: int) -> None:
+    def __init__(self, plan: SweepPlan, out: Path, boot: int) -> None:
         self.plan, self.out, self.boot = plan, out, boot
         self.traces: dict[int, NDArray[np.float32]] = {}
         self._clipped: dict[int, int] = {}  # how many samples, by position

@@ -125,12 +125,12 @@ def acquire_command(
     The file is whole after every shot; Ctrl-C, a fault or a lost digitizer ends the sweep with what it has (status not
     0), --resume goes on. A fault has to be cleared first (`annulus head clear`).
     """
-    from annulus_pipe.wings.tai.acquire import Plan, acquire
+    from annulus_pipe.wings.tai.acquire import SweepPlan, acquire
     from annulus_pipe.wings.tai.digitizer import ScopeDigitizer
 
     if twin == (port is not None or scope is not None) or (port is None) != (scope is None):
         raise AnnulusError("give --port and --scope, or --twin alone")
-    plan = Plan(
+    plan = SweepPlan(
         code,
         chip_us,
         angles,

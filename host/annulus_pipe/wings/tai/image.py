@@ -11,7 +11,7 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic
 from annulus_pipe.wings.tai.decode import code_name, decode_record, detected_code, load_template, sweep_of
 from annulus_pipe.wings.tai.measure.agreement import LAG_RAD, Arrival, disagreeing, likelier_arrival, search_sound_speed
-from annulus_pipe.wings.tai.measure.imaging import Image, Region, back_projection, time_reversal
+from annulus_pipe.wings.tai.measure.imaging import AcousticImage, Region, back_projection, time_reversal
 from annulus_pipe.wings.tai.measure.sweep import Sweep, band_passed, examine, gaps_deg, usable, without_coupling
 
 Method = Literal["time-reversal", "back-projection"]
@@ -172,7 +172,7 @@ def _prepared(sweep: Sweep, settings: ImageSettings) -> Sweep:
     return without_coupling(sweep, sample)
 
 
-def _imaged(sweep: Sweep, settings: ImageSettings, progress: Callable[[str, int, int], None] | None) -> Image:
+def _imaged(sweep: Sweep, settings: ImageSettings, progress: Callable[[str, int, int], None] | None) -> AcousticImage:
     if settings.method == "back-projection":
         return back_projection(sweep, pixel=settings.pixel_mm, region=settings.region)
     return time_reversal(
@@ -185,7 +185,7 @@ def _imaged(sweep: Sweep, settings: ImageSettings, progress: Callable[[str, int,
     )
 
 
-def picture(image: Image, sweep: Sweep, path: Path, title: str) -> None:
+def picture(image: AcousticImage, sweep: Sweep, path: Path, title: str) -> None:
     """The image with axes in mm, y upwards, the receivers on their circle and its holes shaded."""
     import matplotlib
 

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from annulus_pipe.controller import TICKS_PER_US, TRIGGER_TICKS
-from annulus_pipe.link.codes import Finding, Train, text
+from annulus_pipe.link.codes import LimitCheck, Train, text
 from annulus_pipe.vocabulary import AnnulusError
 
 CHIPS_A_ROW = 64
 
 
-def fields(code: str, train: Train, findings: list[Finding]) -> dict[str, Any]:
+def fields(code: str, train: Train, findings: list[LimitCheck]) -> dict[str, Any]:
     pulses = train.pulses_ticks / TICKS_PER_US
     return {
         "code": code,
@@ -32,7 +32,7 @@ def fields(code: str, train: Train, findings: list[Finding]) -> dict[str, Any]:
     }
 
 
-def drawing(code: str, train: Train, findings: list[Finding]) -> list[str]:
+def drawing(code: str, train: Train, findings: list[LimitCheck]) -> list[str]:
     """Rows of chips with the time at which each row begins, then the numbers."""
     lines = []
     for at in range(0, len(train.chips), CHIPS_A_ROW):

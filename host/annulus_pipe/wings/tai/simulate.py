@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from annulus_pipe.link.codes import pattern, text
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord
-from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver, receivers
+from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers
 from annulus_pipe.wings.tai.measure.imaging import TAIL
 from annulus_pipe.wings.tai.measure.phantoms import Part, draw, reach_mm
 
@@ -51,7 +51,7 @@ def simulate(
         highest = min(highest, setup.transducer[0] * (1 + setup.transducer[1]))
     dx = max(setup.sound_speed_m_s * 1e3 / (2.4 * highest), setup.radius_mm / 400)
     side = scipy.fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
-    grid = Grid((side, side), dx)
+    grid = SoundGrid((side, side), dx)
     solver = Solver(grid, Medium(setup.sound_speed_m_s))
     sent = len(chips) * setup.chip_s
     steps = math.ceil((TAIL * 2e-3 * setup.radius_mm / setup.sound_speed_m_s + sent) / solver.dt_s)

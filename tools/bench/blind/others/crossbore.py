@@ -9,12 +9,12 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.log_file import read_bore_log
 from annulus_pipe.wings.crossbore.measure import (
     BORES,
-    Account,
-    Grid,
-    Head,
-    Indication,
-    Kind,
+    BoreDetections,
+    BoreIndication,
+    BoreKind,
+    CapacitiveHead,
     Log,
+    PipeGrid,
     detect,
     likely,
     on_grid,
@@ -55,19 +55,19 @@ def drawn_log(seed: int) -> Drawn:
     return drawn
 
 
-def surveyed(drawn: Drawn, folder: Path) -> tuple[Grid, Account]:
+def surveyed(drawn: Drawn, folder: Path) -> tuple[PipeGrid, BoreDetections]:
     """What is said of a drawn log when it is read from a file in `folder`."""
     names = list(drawn.columns)
     table = np.stack([drawn.columns[name] for name in names], axis=1)
     path = folder / "log.csv"
     np.savetxt(path, table, fmt="%.5f", delimiter=",", header=",".join(names), comments="")
     tool = drawn.tool
-    head = Head(tool.air_ff, tool.sector_deg, tool.coupling_ff, tool.coupling_mm)
+    head = CapacitiveHead(tool.air_ff, tool.sector_deg, tool.coupling_ff, tool.coupling_mm)
     grid = on_grid(Log(*read_bore_log(path)), head)
     return grid, detect(grid, head)
 
 
-def score(case: Case, drawn: Drawn, grid: Grid, account: Account) -> None:
+def score(case: Case, drawn: Drawn, grid: PipeGrid, account: BoreDetections) -> None:
     crossed = [one for one in drawn.sewers if one.kind]
     uneven = unevenness(drawn)
     for one in crossed:
@@ -97,25 +97,25 @@ def score(case: Case, drawn: Drawn, grid: Grid, account: Account) -> None:
         kinds = [reported.kind for reported in mine]
         found = (
             "found"
-            if Kind.COUPLING in kinds
+            if BoreKind.COUPLING in kinds
             else "misnamed"
             if set(kinds) & set(BORES)
-            else ("not established" if Kind.UNKNOWN in kinds else "misnamed" if kinds else "missed")
+            else ("not established" if BoreKind.UNKNOWN in kinds else "misnamed" if kinds else "missed")
         )
         case.things.append(("coupling", found, ", ".join(kinds)))
 
 
-def state(one: Sewer, mine: list[Indication], uneven: float, seen: bool) -> str:
+def state(one: Sewer, mine: list[BoreIndication], uneven: float, seen: bool) -> str:
     if not mine and not seen:
         return "not established"
     if not mine:
         return "below the limit" if abs(one.change_ff) < max(LEAST_FF, LEAST_SIGMA * uneven) else "missed"
     if mine[0].kind in BORES:
         return "found" if mine[0].kind == one.kind else "misnamed"
-    return "not established" if mine[0].kind is Kind.UNKNOWN else "misnamed"
+    return "not established" if mine[0].kind is BoreKind.UNKNOWN else "misnamed"
 
 
-def describe(one: Sewer, mine: list[Indication]) -> str:
+def describe(one: Sewer, mine: list[BoreIndication]) -> str:
     reported = ", ".join(str(indication.kind) for indication in mine) or "nothing"
     return (
         f"{reported}; radius {one.radius_mm:.0f}, {one.offset_mm:.0f} mm aside towards {one.phi_deg:.0f} deg, mean "
@@ -123,7 +123,7 @@ def describe(one: Sewer, mine: list[Indication]) -> str:
     )
 
 
-def numbers(case: Case, one: Sewer, reported: Indication, middle: float) -> None:
+def numbers(case: Case, one: Sewer, reported: BoreIndication, middle: float) -> None:
     case.numbers.append(Number("place, mm", one.kind, reported.odometer_mm, math.nan, middle))
     if math.isfinite(reported.phi_deg) and one.offset_mm > ONE_SIDED * one.radius_mm and reported.kind == one.kind:
         off = (reported.phi_deg - one.phi_deg + 180) % 360 - 180

@@ -7,24 +7,32 @@ Chapter 10 of the source, and what its section 11.2 leaves undone. Angles: atan2
 Proven on simulated logs only.
 """
 
-from annulus_pipe.wings.crossbore.measure.detect import BORES, Account, Indication, Kind, Limits, detect, likely
-from annulus_pipe.wings.crossbore.measure.grid import Grid, Log, on_grid
+from annulus_pipe.wings.crossbore.measure.detect import (
+    BORES,
+    BoreDetections,
+    BoreIndication,
+    BoreKind,
+    BoreLimits,
+    detect,
+    likely,
+)
+from annulus_pipe.wings.crossbore.measure.grid import Log, PipeGrid, on_grid
 from annulus_pipe.wings.crossbore.measure.passage import Passage, Run
-from annulus_pipe.wings.crossbore.measure.readings import Gap, Head, Why
+from annulus_pipe.wings.crossbore.measure.readings import CapacitiveHead, Gap, NoReadingReason
 
 __all__ = [
     "BORES",
-    "Account",
+    "BoreDetections",
+    "BoreIndication",
+    "BoreKind",
+    "BoreLimits",
+    "CapacitiveHead",
     "Gap",
-    "Grid",
-    "Head",
-    "Indication",
-    "Kind",
-    "Limits",
     "Log",
+    "NoReadingReason",
     "Passage",
+    "PipeGrid",
     "Run",
-    "Why",
     "detect",
     "likely",
     "on_grid",

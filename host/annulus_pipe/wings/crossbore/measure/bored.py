@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.wings.crossbore.measure.elements import Grid, grid_of, solve
+from annulus_pipe.wings.crossbore.measure.elements import ElementMesh, grid_of, solve
 from annulus_pipe.wings.crossbore.measure.field import (
     AIR,
     FAR_MM,
     ON_MM,
     SECTORS,
-    Bore,
-    Section,
+    CrossSection,
+    StraightBore,
     check,
     electrodes,
     facing,
@@ -41,14 +41,14 @@ class Bored:
     nodes: int
 
 
-def bored(case: Section) -> Bored:
+def bored(case: CrossSection) -> Bored:
     """Differential readings of all sectors, the bore's place along the pipe being its own. `fine` 1 takes some seconds.
     AnnulusError of a head outside its pipe, or where iterations do not converge."""
     check(case)
     return _read(case, *_head(case))
 
 
-def changes(case: Section, bores: list[Bore | None]) -> tuple[FloatArray, FloatArray]:
+def changes(case: CrossSection, bores: list[StraightBore | None]) -> tuple[FloatArray, FloatArray]:
     """(bores, 3) fF and fF of loss that each changes the sectors by, from the same head with no bore."""
     check(case)
     head = _head(case)
@@ -59,7 +59,7 @@ def changes(case: Section, bores: list[Bore | None]) -> tuple[FloatArray, FloatA
     )
 
 
-def _read(case: Section, grid: Grid, conductors: list[BoolArray], far: BoolArray) -> Bored:
+def _read(case: CrossSection, grid: ElementMesh, conductors: list[BoolArray], far: BoolArray) -> Bored:
     drives = np.zeros((SECTORS, len(conductors)))
     for k in range(SECTORS):
         drives[k, 4 * k : 4 * k + 2] = 0.5, -0.5
@@ -70,7 +70,7 @@ def _read(case: Section, grid: Grid, conductors: list[BoolArray], far: BoolArray
     return Bored(both.real, -1000 * both.imag, len(grid.axes))
 
 
-def _head(case: Section) -> tuple[Grid, list[BoolArray], BoolArray]:
+def _head(case: CrossSection) -> tuple[ElementMesh, list[BoolArray], BoolArray]:
     head, pipe = case.head, case.pipe
     axes = [
         rings(head, pipe, 0.6 * case.fine),
@@ -91,11 +91,11 @@ def _head(case: Section) -> tuple[Grid, list[BoolArray], BoolArray]:
     return grid, conductors, (rho > FAR_MM - ON_MM) | (np.abs(z) > HALF_MM - ON_MM) | body
 
 
-def source_cases(radius_mm: float, outer_mm: float, fill: complex = AIR) -> dict[str, Bore]:
+def source_cases(radius_mm: float, outer_mm: float, fill: complex = AIR) -> dict[str, StraightBore]:
     """The source's three: the pipe through a bore's middle, half in it, and 10 and 50 mm clear of it."""
     return {
-        "through": Bore(fill, radius_mm, 0.0),
-        "half": Bore(fill, radius_mm, radius_mm),
-        "10 mm clear": Bore(fill, radius_mm, radius_mm + outer_mm + 10),
-        "50 mm clear": Bore(fill, radius_mm, radius_mm + outer_mm + 50),
+        "through": StraightBore(fill, radius_mm, 0.0),
+        "half": StraightBore(fill, radius_mm, radius_mm),
+        "10 mm clear": StraightBore(fill, radius_mm, radius_mm + outer_mm + 10),
+        "50 mm clear": StraightBore(fill, radius_mm, radius_mm + outer_mm + 50),
     }

@@ -21,9 +21,9 @@ from scipy.signal import find_peaks
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.robust import robust_sigma
-from annulus_pipe.wings.crossbore.measure.grid import NARROW_MM, STEP_MM, Grid
+from annulus_pipe.wings.crossbore.measure.grid import NARROW_MM, STEP_MM, PipeGrid
 from annulus_pipe.wings.crossbore.measure.odds import MIDDLE, odds
-from annulus_pipe.wings.crossbore.measure.readings import HEAD, SECTORS, Gap, Head
+from annulus_pipe.wings.crossbore.measure.readings import HEAD, SECTORS, CapacitiveHead, Gap
 
 UP_DEG = 270.0  # the obvert; angles run from the right over the invert, 90
 SMOOTH_MM = 15.0
@@ -52,7 +52,7 @@ PART_WET = 0.12  # of soil to air: a sector that rises by so much beside one tha
 PART_LOSS = 0.3  # of what soil loses: a sector that sees no air and loses so much less sees water
 
 
-class Kind(StrEnum):
+class BoreKind(StrEnum):
     AIR = "air"
     PART = "part"  # half full of water
     WATER = "water"
@@ -62,11 +62,11 @@ class Kind(StrEnum):
     UNKNOWN = "unknown"  # something is there, and nothing here says what
 
 
-BORES = (Kind.AIR, Kind.PART, Kind.WATER)
+BORES = (BoreKind.AIR, BoreKind.PART, BoreKind.WATER)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class BoreLimits:
     """What is listed: lengths at half the change, mm; changes of the sectors' mean, fF, or as a part of soil to air."""
 
     least_ff: float = 8.0
@@ -83,11 +83,11 @@ class Limits:
     coupling_off_mm: float = 20.0
 
 
-LIMITS = Limits()
+LIMITS = BoreLimits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Indication:
+class BoreIndication:
     """One place. phi_deg is NaN where it is alike all round or not told; change_ff (3,) over what is beside it.
 
     speed_mm_s : of a coupling, by its known length and how long it took to pass, and by the odometer meanwhile. The
@@ -96,7 +96,7 @@ class Indication:
     """
 
     odometer_mm: float
-    kind: Kind
+    kind: BoreKind
     extent_mm: float
     phi_deg: float
     phi_sigma_deg: float
@@ -109,14 +109,14 @@ class Indication:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Account:
+class BoreDetections:
     """What was found, in order; how much of the log was seen; where water could have been told, mm of all.
 
     ends_mm : of either end, where nothing is judged, for want of what lies beyond. wanders : the head stood off the
     axis by millimetres, nobody knows where, so that nothing but what is alike all round is called a bore.
     """
 
-    indications: list[Indication]
+    indications: list[BoreIndication]
     length_mm: float
     unseen_mm: float
     water_told_mm: float
@@ -125,12 +125,12 @@ class Account:
     gaps: tuple[Gap, ...] = ()
 
     @property
-    def bores(self) -> list[Indication]:
+    def bores(self) -> list[BoreIndication]:
         return [one for one in self.indications if one.kind in BORES]
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _Peak:
     """A peak of the sectors' mean: where, how far over what is beside it, how long at half of that, uneven beside."""
 
     index: int
@@ -150,12 +150,14 @@ class _Place:
         return (self.high - self.low) * STEP_MM
 
 
-def likely(one: Indication) -> float:
+def likely(one: BoreIndication) -> float:
     """Probability of what it is called, 0..1; for what is no bore, that no sewer is there. NaN where nobody counted."""
     return one.odds.get(str(one.kind) if one.kind in BORES else "soil", math.nan)
 
 
-def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Sequence[float] = ()) -> Account:
+def detect(
+    grid: PipeGrid, head: CapacitiveHead = HEAD, limits: BoreLimits = LIMITS, joints_mm: Sequence[float] = ()
+) -> BoreDetections:
     """What lies along a log. Nothing is said of stretches that were not seen.
 
     joints_mm : along the same odometer, where something else has seen a joint of the pipe: what is alike all round and
@@ -163,7 +165,9 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     """
     mean = gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
     dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
-    found = [indication for one, indication in dips if indication.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
+    found = [
+        indication for one, indication in dips if indication.kind is not BoreKind.UNKNOWN or _stands_out(one, limits)
+    ]
     found += [_rise(grid, one, head, limits) for one in _places(mean, 1, limits.least_ff) if _stands_out(one, limits)]
     if grid.loss_ff is not None:
         loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
@@ -180,7 +184,7 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     found = [_unknown(one) if _cut(grid, one) else one for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
-    kept = [replace(one, speed_mm_s=_speed(grid, one, head)) if one.kind is Kind.COUPLING else one for one in kept]
+    kept = [replace(one, speed_mm_s=_speed(grid, one, head)) if one.kind is BoreKind.COUPLING else one for one in kept]
     listed = (
         _merged(kept)
         if _wanders(grid)
@@ -190,44 +194,48 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
         ]
     )
     unseen = float(STEP_MM * np.count_nonzero(~grid.seen))
-    return Account(listed, float(np.ptp(grid.z_mm)), unseen, decidable_mm, wanders=_wanders(grid), gaps=grid.gaps)
+    return BoreDetections(
+        listed, float(np.ptp(grid.z_mm)), unseen, decidable_mm, wanders=_wanders(grid), gaps=grid.gaps
+    )
 
 
-def _all_round_or_unknown(one: Indication) -> Indication:
+def _all_round_or_unknown(one: BoreIndication) -> BoreIndication:
     """What a log says whose head wandered, nobody knows where: it lifts off one side, and a little off the mean."""
-    sure = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is Kind.AIR and math.isnan(one.phi_deg))
+    sure = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is BoreKind.AIR and math.isnan(one.phi_deg))
     return one if sure else _unknown(one)
 
 
-def _unknown(one: Indication) -> Indication:
-    return replace(one, kind=Kind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+def _unknown(one: BoreIndication) -> BoreIndication:
+    return replace(one, kind=BoreKind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
 
 
-def _weak_air_is_part(one: Indication) -> Indication:
+def _weak_air_is_part(one: BoreIndication) -> BoreIndication:
     """Air on one side that takes off less than MIDDLE of what air does lies over water: so were 12 of 12 in the pipes
     of both drawers (`crossbore.odds`). The air is above it then, and says no direction."""
-    weak = one.kind is Kind.AIR and math.isfinite(one.phi_deg) and one.part < MIDDLE
-    return replace(one, kind=Kind.PART, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0) if weak else one
+    weak = one.kind is BoreKind.AIR and math.isfinite(one.phi_deg) and one.part < MIDDLE
+    return replace(one, kind=BoreKind.PART, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0) if weak else one
 
 
-def _cut(grid: Grid, one: Indication) -> bool:
+def _cut(grid: PipeGrid, one: BoreIndication) -> bool:
     """Whether a part of a place, or of the stretches that show its edges, was not seen: its length and change are
     then unknown."""
     return not grid.seen[np.abs(grid.z_mm - one.odometer_mm) <= 0.5 * one.extent_mm + NARROW_MM].all()
 
 
-def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: Limits) -> Indication:
+def _explained(
+    one: BoreIndication, joints_mm: Sequence[float], head: CapacitiveHead, limits: BoreLimits
+) -> BoreIndication:
     """Whether the place is a joint that the ring sensor saw there."""
     at_joint = any(abs(joint - one.odometer_mm) < JOINT_MM for joint in joints_mm)
     short = one.extent_mm < head.coupling_mm + 2 * limits.coupling_off_mm
     mean = max(abs(float(one.change_ff.mean())), 1e-9)
     even = float(np.ptp(one.change_ff)) < 3 * 1.5 * limits.even * mean
-    if at_joint and short and even and one.kind in (Kind.AIR, Kind.VOID, Kind.UNKNOWN):
-        return replace(one, kind=Kind.COUPLING, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+    if at_joint and short and even and one.kind in (BoreKind.AIR, BoreKind.VOID, BoreKind.UNKNOWN):
+        return replace(one, kind=BoreKind.COUPLING, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
     return one
 
 
-def _speed(grid: Grid, one: Indication, head: Head) -> tuple[float, float]:
+def _speed(grid: PipeGrid, one: BoreIndication, head: CapacitiveHead) -> tuple[float, float]:
     """The head's speed by a coupling's transient, and by the odometer; NaN where it stood or turned back there."""
     here = np.abs(grid.z_mm - one.odometer_mm) <= max(0.5 * one.extent_mm, STEP_MM)
     by_odometer = np.abs(grid.speed_mm_s[here])
@@ -237,16 +245,16 @@ def _speed(grid: Grid, one: Indication, head: Head) -> tuple[float, float]:
     return head.coupling_mm / transit_s, one.extent_mm / transit_s
 
 
-def _wet(mean: FloatArray, head: Head) -> float:
+def _wet(mean: FloatArray, head: CapacitiveHead) -> float:
     return float(np.percentile(mean, 98)) - head.air_ff
 
 
-def _stands_out(place: _Place, limits: Limits) -> bool:
+def _stands_out(place: _Peak, limits: BoreLimits) -> bool:
     """Whether a place differs from its surroundings by more than soil does, and is no boundary between two soils."""
     return place.depth > limits.water_sigma * place.sigma and abs(place.left - place.right) < 0.5 * place.depth
 
 
-def _places(line: FloatArray, sign: int, least: float) -> list[_Place]:
+def _places(line: FloatArray, sign: int, least: float) -> list[_Peak]:
     near, far = (round(v / STEP_MM) for v in BESIDE_MM)
     peaks, _ = find_peaks(sign * line, prominence=least, wlen=2 * far)
     quick = line - gaussian_filter1d(line, 300.0 / STEP_MM, mode="nearest")
@@ -267,7 +275,7 @@ def _places(line: FloatArray, sign: int, least: float) -> list[_Place]:
         wide = round(UNEVEN_MM / STEP_MM)
         around = np.r_[quick[max(i - wide, 0) : max(i - far, 0)], quick[i + far : i + wide]]
         sigma = robust_sigma(around) if len(around) > near else math.inf
-        found.append(_Place(int(i), depth, low, high, sigma, left, right))
+        found.append(_Peak(int(i), depth, low, high, sigma, left, right))
     return found
 
 
@@ -291,7 +299,7 @@ def _half(line: FloatArray, peak: int, sign: int, left: float, right: float) -> 
     return low, high
 
 
-def _change(values: FloatArray, place: _Place) -> FloatArray:
+def _change(values: FloatArray, place: _Peak) -> FloatArray:
     """(3,) in the middle of a place over what is beside it."""
     near = round(CLOSE_MM[0] / STEP_MM)
     left = values[max(place.low - near - CLOSE, 0) : max(place.low - near, 1)]
@@ -300,7 +308,7 @@ def _change(values: FloatArray, place: _Place) -> FloatArray:
     return np.asarray(here - 0.5 * (np.median(left, axis=0) + np.median(right, axis=0)))
 
 
-def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
+def _dip(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLimits) -> BoreIndication:
     change = _change(grid.c_ff, place)
     soil = 0.5 * (place.left + place.right) - head.air_ff
     z, extent = float(grid.z_mm[place.middle]), place.extent_mm
@@ -318,30 +326,30 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     # What a head that wanders adds to one side says nothing of a side.
     blurred = _wanders(grid) and float(np.ptp(change)) < BLURRED * grid.uneven_ff
     if near and (uneven < even or blurred) and off < limits.coupling_part[0 if all_air else 1]:
-        return Indication(z, Kind.COUPLING, extent, math.nan, math.nan, change, strongest)
+        return BoreIndication(z, BoreKind.COUPLING, extent, math.nan, math.nan, change, strongest)
     if (extent >= limits.bore_mm[0] and uneven < limits.even) or blurred:
-        kind = Kind.AIR if all_air else Kind.UNKNOWN
-        return Indication(z, kind, extent, math.nan, math.nan, change, strongest)
+        kind = BoreKind.AIR if all_air else BoreKind.UNKNOWN
+        return BoreIndication(z, kind, extent, math.nan, math.nan, change, strongest)
     phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, _lift_off(grid) / max(soil, 1.0))
     long = limits.bore_mm[0] <= extent <= limits.bore_mm[1] and strongest >= limits.bore_part
     if strongest < limits.short_part and abs(place.left - place.right) > 0.5 * place.depth:
         long = False  # beside something that stands out the other way
     if not long and not (limits.short_mm <= extent < limits.bore_mm[0] and strongest >= limits.short_part):
-        kind = Kind.VOID if extent < limits.bore_mm[0] else Kind.UNKNOWN
-        return Indication(z, kind, extent, phi, sigma, change, strongest)
+        kind = BoreKind.VOID if extent < limits.bore_mm[0] else BoreKind.UNKNOWN
+        return BoreIndication(z, kind, extent, phi, sigma, change, strongest)
     if _half_full(grid, place, share, phi, beta):  # its air is above, wherever the sewer lies
         z = _level_middle(grid, place, head)
-        return Indication(z, Kind.PART, extent, math.nan, math.nan, change, strongest)
+        return BoreIndication(z, BoreKind.PART, extent, math.nan, math.nan, change, strongest)
     if abs((phi - UP_DEG + 180) % 360 - 180) < NEAR_UP_DEG:
         z = _level_middle(grid, place, head)
-    return Indication(z, Kind.AIR, extent, phi, sigma, change, strongest, arc_deg=_arc(phi, beta))
+    return BoreIndication(z, BoreKind.AIR, extent, phi, sigma, change, strongest, arc_deg=_arc(phi, beta))
 
 
 def _arc(phi: float, beta: float) -> float:
     return min(2 * beta, 360.0) if math.isfinite(phi) else 360.0
 
 
-def _level_middle(grid: Grid, place: _Place, head: Head) -> float:
+def _level_middle(grid: PipeGrid, place: _Peak, head: CapacitiveHead) -> float:
     """Where a sewer half full is crossed, mm. One that is crossed at a slant meets the pipe's upper side, where its air
     is, before or behind its middle: by A cos + B sin of the direction, R cot(angle) at most. Each sector's own dip lies
     where the air it sees is; two unknowns beside the middle, and what sewers are crossed at (SLANT_MM) where sectors do
@@ -370,7 +378,7 @@ def _level_middle(grid: Grid, place: _Place, head: Head) -> float:
     return float(fit[0])
 
 
-def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: float) -> bool:
+def _half_full(grid: PipeGrid, place: _Peak, share: FloatArray, phi: float, beta: float) -> bool:
     """Air above and water below: a level at the pipe's height, told by its being level or by the water itself."""
     if share.min() < -PART_WET:
         return True
@@ -383,50 +391,54 @@ def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: f
     return bool(level and PART_BETA_DEG[0] <= beta <= PART_BETA_DEG[1] and share.max() > 0.85)
 
 
-def _rise(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
+def _rise(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLimits) -> BoreIndication:
     change = _change(grid.c_ff, place)
     z, extent = float(grid.z_mm[place.middle]), place.extent_mm
     water = limits.water_mm[0] <= extent <= limits.water_mm[1]
     share = change / max(float(change.max()), 1e-9)
     noise = _lift_off(grid) / max(float(change.max()), 1.0)
     phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, noise)
-    kind = Kind.WATER if water else Kind.UNKNOWN
-    return Indication(z, kind, extent, phi, sigma, change, arc_deg=_arc(phi, beta))
+    kind = BoreKind.WATER if water else BoreKind.UNKNOWN
+    return BoreIndication(z, kind, extent, phi, sigma, change, arc_deg=_arc(phi, beta))
 
 
-def _by_loss(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
+def _by_loss(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLimits) -> BoreIndication:
     assert grid.loss_ff is not None
     change = _change(grid.c_ff, place)
     loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
     most = max(float((-loss).max()), 1e-9)
     phi, sigma, beta = _direction(-loss / most, grid.looks_deg(place.middle), head, LOSS_UNEVEN_FF / most)
     water = limits.water_mm[0] <= place.extent_mm <= limits.water_mm[1]
-    kind = Kind.WATER if water else Kind.UNKNOWN
+    kind = BoreKind.WATER if water else BoreKind.UNKNOWN
     z = float(grid.z_mm[place.middle])
-    return Indication(z, kind, place.extent_mm, phi, sigma, change, loss_ff=float(loss.mean()), arc_deg=_arc(phi, beta))
+    return BoreIndication(
+        z, kind, place.extent_mm, phi, sigma, change, loss_ff=float(loss.mean()), arc_deg=_arc(phi, beta)
+    )
 
 
-def _beads(grid: Grid) -> list[Indication]:
+def _beads(grid: PipeGrid) -> list[BoreIndication]:
     """Rings of plastic inside: over all sectors, shorter than anything outside can show."""
     ring = grid.raised.min(axis=1)
     peaks, _ = find_peaks(ring, height=BEAD_FF, distance=round(MERGED_MM / STEP_MM))
     return [
-        Indication(float(grid.z_mm[i]), Kind.BEAD, STEP_MM * 2, math.nan, math.nan, grid.raised[i].copy())
+        BoreIndication(float(grid.z_mm[i]), BoreKind.BEAD, STEP_MM * 2, math.nan, math.nan, grid.raised[i].copy())
         for i in peaks
     ]
 
 
-def _wanders(grid: Grid) -> bool:
+def _wanders(grid: PipeGrid) -> bool:
     """Whether the head moves about more than any log that was judged with a truth beside it; nobody counted odds so."""
     return grid.uneven_ff > 2 * UNEVEN_FF[1]
 
 
-def _lift_off(grid: Grid) -> float:
+def _lift_off(grid: PipeGrid) -> float:
     """FF by which the head's place and the soil's unevenness may change one sector against the others."""
     return max(UNEVEN_FF[0] if grid.lift_ff_mm is not None else UNEVEN_FF[1], grid.uneven_ff)
 
 
-def _direction(share: FloatArray, looks_deg: FloatArray, head: Head, noise: float) -> tuple[float, float, float]:
+def _direction(
+    share: FloatArray, looks_deg: FloatArray, head: CapacitiveHead, noise: float
+) -> tuple[float, float, float]:
     """(phi, its sigma, beta), degrees: NaN where it is alike all round. share, noise : of what air takes off.
 
     A sector's reading is the part of its width that phi +- beta covers, all times how far from the wall the soil is.
@@ -453,15 +465,25 @@ def _direction(share: FloatArray, looks_deg: FloatArray, head: Head, noise: floa
     return float(np.degrees(np.angle(mean)) % 360), math.degrees(math.sqrt(-2 * math.log(max(length, 1e-9)))), best_beta
 
 
-def _merged(found: list[Indication]) -> list[Indication]:
+def _merged(found: list[BoreIndication]) -> list[BoreIndication]:
     """One a place: what is surest of what lies together, bores and couplings before what is not known."""
     rank = {
         kind: k
-        for k, kind in enumerate((Kind.AIR, Kind.PART, Kind.COUPLING, Kind.VOID, Kind.WATER, Kind.BEAD, Kind.UNKNOWN))
+        for k, kind in enumerate(
+            (
+                BoreKind.AIR,
+                BoreKind.PART,
+                BoreKind.COUPLING,
+                BoreKind.VOID,
+                BoreKind.WATER,
+                BoreKind.BEAD,
+                BoreKind.UNKNOWN,
+            )
+        )
     }
-    kept: list[Indication] = []
+    kept: list[BoreIndication] = []
     for one in sorted(found, key=lambda i: (rank[i.kind], -float(np.abs(i.change_ff).max()))):
         near = [k for k in kept if abs(k.odometer_mm - one.odometer_mm) < max(MERGED_MM, k.extent_mm)]
-        if not near or (one.kind is Kind.BEAD and all(k.kind is not Kind.BEAD for k in near)):
+        if not near or (one.kind is BoreKind.BEAD and all(k.kind is not BoreKind.BEAD for k in near)):
             kept.append(one)
     return sorted(kept, key=lambda i: i.odometer_mm)

@@ -35,7 +35,7 @@ def permittivity(eps: float, sigma_s_m: float = 0.0, hertz: float = HERTZ) -> co
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class ElementMesh:
     """basis : of scikit-fem, mm. seam : (nodes,) which node each is. middle : (elements, dim) in (rho, phi, z) or what
     there is of it. axes : nodes' own rho, phi, z likewise (nodes, dim). around : True where z is the second axis and
     the field turns about it: the weight is 2 pi rho."""
@@ -52,7 +52,7 @@ def needed() -> Any:
     return need("skfem")
 
 
-def grid_of(axes: list[FloatArray], kind: str, place: Callable[[FloatArray], FloatArray] | None = None) -> Grid:
+def grid_of(axes: list[FloatArray], kind: str, place: Callable[[FloatArray], FloatArray] | None = None) -> ElementMesh:
     """axes : rising, of `kind` 'rp' (rho mm, phi rad over one whole turn), 'rz' or 'rpz'. place moves nodes: (nodes,
     dim) of rho, phi, z to mm; polar if not given."""
     skfem = needed()
@@ -73,7 +73,7 @@ def grid_of(axes: list[FloatArray], kind: str, place: Callable[[FloatArray], Flo
     mesh = type(tensor)(np.ascontiguousarray(moved.T), tensor.t)
     solid = kind == "rpz"
     element = skfem.ElementHex1() if solid else skfem.ElementQuad1()
-    return Grid(skfem.Basis(mesh, element, intorder=2 if solid else 6), seam, own, middle, kind == "rz")
+    return ElementMesh(skfem.Basis(mesh, element, intorder=2 if solid else 6), seam, own, middle, kind == "rz")
 
 
 def polar(own: FloatArray) -> FloatArray:
@@ -83,12 +83,12 @@ def polar(own: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class ElectrodeField:
     """volts : (ways, nodes), one conductor at 1 V in turn, or the drives asked for. pf : (ways, conductors) charge of
     each, pC at 1 V = pF (pC/mm and pF/mm across a pipe), complex: -imag is conductance / omega. Of one conductor in
     turn it is Maxwell's matrix, symmetric."""
 
-    grid: Grid
+    grid: ElementMesh
     volts: ComplexArray
     pf: ComplexArray
     eps: ComplexArray  # (elements, points)
@@ -115,17 +115,17 @@ class Field:
         return np.asarray(np.sqrt((squares[0] + squares[1]).sum(axis=0)).mean(axis=1))
 
 
-def _weight(grid: Grid) -> FloatArray | float:
+def _weight(grid: ElementMesh) -> FloatArray | float:
     return 2 * np.pi * np.asarray(grid.basis.global_coordinates()[0]) if grid.around else 1.0
 
 
 def solve(
-    grid: Grid,
+    grid: ElementMesh,
     eps: Callable[[FloatArray, FloatArray], ComplexArray],
     conductors: list[BoolArray],
     far: BoolArray,
     drives: list[list[float]] | None = None,
-) -> Field:
+) -> ElectrodeField:
     """eps : (elements,) centres in rho.. and (dim, elements, points) mm -> (elements, points), relative. conductors,
     far : (nodes,) what belongs to which. drives : (ways, conductors) voltages to solve for in place of one
     conductor at a time. AnnulusError where a conductor
@@ -171,7 +171,7 @@ def solve(
     own = grid.seam == np.arange(nodes)
     flux = (whole @ volts.T).T * own
     charge = np.stack([flux[:, (owner == k) & own].sum(axis=1) for k in range(len(conductors))], axis=1)
-    return Field(grid, volts[:, grid.seam].astype(complex), charge.astype(complex), value)
+    return ElectrodeField(grid, volts[:, grid.seam].astype(complex), charge.astype(complex), value)
 
 
 def _conjugate(matrix: csr_matrix, right: ComplexArray, tolerance: float = 1e-7) -> ComplexArray:

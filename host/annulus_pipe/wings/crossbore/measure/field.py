@@ -4,12 +4,12 @@ Chapter 10 of the source: three sectors on a 2.4-inch head in a 3-inch pipe, rea
 electrodes, one behind the other along the pipe, driven against each other (+1/2 V, -1/2 V). The field goes from one
 through gap, wall and soil to the other, so the reading rises from air to soil as in Figure 10.5. Driven alone and
 sensed at the other, the pair's mutual capacitance has the other sign: soil is a third conductor that leads the charge
-to earth. `Section` cuts across one electrode, whose way back is earth; `Along` cuts along a head that is one sector all
-round, and its reading is scaled to a sector's angle. A head off the axis and a bore that comes from the side need both
-cuts at once: `bored`. What the source does not say (lengths of the electrodes, their carrier) was chosen to meet
-what a prototype's field said; `Head` says which.
+to earth. `CrossSection` cuts across one electrode, whose way back is earth; `Along` cuts along a head that is one
+sector all round, and its reading is scaled to a sector's angle. A head off the axis and a bore that comes from the side
+need both cuts at once: `bored`. What the source does not say (lengths of the electrodes, their carrier) was chosen to
+meet what a prototype's field said; `HeadGeometry` says which.
 
-    across = sectors(Section(soil=permittivity(20)))
+    across = sectors(CrossSection(soil=permittivity(20)))
     pair = along(Along(inside=AIR, from_mm=-38, to_mm=38))
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, FloatArray
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.crossbore.measure.elements import Field, graded, grid_of, permittivity, polar, solve
+from annulus_pipe.wings.crossbore.measure.elements import ElectrodeField, graded, grid_of, permittivity, polar, solve
 
 AIR = complex(1.0)
 PE = complex(2.25)
@@ -33,7 +33,7 @@ ON_MM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class HeadGeometry:
     """radius, sector: the source's and the logs'. electrode (length) and apart (between the two of a pair): the source
     gives neither; of 18 pairs of lengths this one comes nearest to all that a prototype's field said (243 fF through a
     bore, half and beside it, depth, lift-off), which it therefore does not confirm. carrier: of glass epoxy, the shield
@@ -69,7 +69,7 @@ class Pipe:
 
 
 @dataclass(frozen=True, slots=True)
-class Bore:
+class StraightBore:
     """A straight bore that crosses the pipe at right angles. offset : from the pipe's axis to its own, towards phi
     (atan2(y, x), y down: 90 is the invert); along : place of its axis along the pipe, from the head's middle."""
 
@@ -81,15 +81,15 @@ class Bore:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
+class CrossSection:
     """soil : where no bore is. off : head's axis from the pipe's, mm. Sector k looks at 120 k + roll."""
 
     soil: complex = SOIL
-    bore: Bore | None = None
+    bore: StraightBore | None = None
     off_mm: tuple[float, float] = (0.0, 0.0)
     roll_deg: float = 0.0
     shield: bool = True
-    head: Head = field(default_factory=Head)
+    head: HeadGeometry = field(default_factory=HeadGeometry)
     pipe: Pipe = field(default_factory=Pipe)
     fine: float = 1.0
 
@@ -103,7 +103,7 @@ class Readings:
     loss_ff: FloatArray
     mutual_pf: FloatArray
     pf_per_m: FloatArray
-    field: Field
+    field: ElectrodeField
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class Along:
     to_mm: float = np.inf
     depth_mm: float = np.inf
     shield: bool = True
-    head: Head = field(default_factory=Head)
+    head: HeadGeometry = field(default_factory=HeadGeometry)
     pipe: Pipe = field(default_factory=Pipe)
     fine: float = 1.0
 
@@ -131,15 +131,15 @@ class Pair:
     loss_ff: float
     mutual_pf: float
     single_pf: float
-    field: Field
+    field: ElectrodeField
 
 
-def check(case: Section | Along) -> None:
+def check(case: CrossSection | Along) -> None:
     """AnnulusError where the head is not inside the pipe or the shape is none."""
     head, pipe = case.head, case.pipe
     if not case.fine > 0:
         raise AnnulusError(f"fineness {case.fine:g}, expected above 0")
-    off = float(np.hypot(*case.off_mm)) if isinstance(case, Section) else 0.0
+    off = float(np.hypot(*case.off_mm)) if isinstance(case, CrossSection) else 0.0
     if isinstance(case, Along) and not (case.depth_mm > 0 and case.from_mm < case.to_mm):
         raise AnnulusError(
             f"medium from {case.from_mm:g} to {case.to_mm:g} mm, {case.depth_mm:g} mm deep: expected lengths above 0"
@@ -151,7 +151,7 @@ def check(case: Section | Along) -> None:
         )
 
 
-def rings(head: Head, pipe: Pipe, fine: float, depth_mm: float = np.inf) -> FloatArray:
+def rings(head: HeadGeometry, pipe: Pipe, fine: float, depth_mm: float = np.inf) -> FloatArray:
     """rho of nodes: shield, electrodes, wall, a layer of that depth if there is one, soil."""
     marks = [head.radius_mm - head.carrier_mm, head.radius_mm, pipe.inner_mm, pipe.outer_mm, FAR_MM]
     steps = [0.8 / fine, 1.5 / fine, 2.0 / fine, 12.0 / fine]
@@ -161,14 +161,14 @@ def rings(head: Head, pipe: Pipe, fine: float, depth_mm: float = np.inf) -> Floa
     return graded(marks, steps, EDGE_MM / fine)
 
 
-def turn(head: Head, roll_deg: float, step_deg: float, smallest_deg: float) -> FloatArray:
+def turn(head: HeadGeometry, roll_deg: float, step_deg: float, smallest_deg: float) -> FloatArray:
     """phi of nodes, rad, over one turn, with every edge of a sector among them."""
     edges = [120 * k + side * head.sector_deg / 2 for k in range(SECTORS) for side in (-1, 1)]
     marks = [0.0, *sorted(edge % 360 for edge in edges), 360.0]
     return np.radians(roll_deg + graded(marks, [step_deg] * (len(marks) - 1), smallest_deg))
 
 
-def moved(head: Head, pipe: Pipe, off_mm: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:
+def moved(head: HeadGeometry, pipe: Pipe, off_mm: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:
     """Nodes of a head off the axis: the head moves as a whole, the pipe stays, and the gap's nodes move the more the
     nearer they are to the head."""
 
@@ -182,7 +182,7 @@ def moved(head: Head, pipe: Pipe, off_mm: tuple[float, float]) -> Callable[[Floa
 
 
 def layers(
-    head: Head, pipe: Pipe, outside: Callable[[FloatArray], ComplexArray]
+    head: HeadGeometry, pipe: Pipe, outside: Callable[[FloatArray], ComplexArray]
 ) -> Callable[[FloatArray, FloatArray], ComplexArray]:
     def eps(middle: FloatArray, points: FloatArray) -> ComplexArray:
         rho = middle[:, :1]
@@ -196,13 +196,13 @@ def layers(
     return eps
 
 
-def facing(own: FloatArray, head: Head, roll_deg: float) -> list[BoolArray]:
+def facing(own: FloatArray, head: HeadGeometry, roll_deg: float) -> list[BoolArray]:
     """(nodes,) of each sector's angles, edges among them."""
     phi = np.degrees(own[:, 1]) - roll_deg
     return [np.abs((phi - 120 * k + 180) % 360 - 180) <= head.sector_deg / 2 + ON_MM for k in range(SECTORS)]
 
 
-def in_bore(bore: Bore, points: FloatArray) -> BoolArray:
+def in_bore(bore: StraightBore, points: FloatArray) -> BoolArray:
     """points (2 or 3, ..) mm; across the pipe z is the bore's own."""
     phi = np.radians(bore.phi_deg)
     beside = points[0] * np.cos(phi) + points[1] * np.sin(phi) - bore.offset_mm
@@ -210,7 +210,7 @@ def in_bore(bore: Bore, points: FloatArray) -> BoolArray:
     return np.asarray(beside**2 + along_mm**2 <= bore.radius_mm**2)
 
 
-def filled(bore: Bore | None, soil: complex) -> Callable[[FloatArray], ComplexArray]:
+def filled(bore: StraightBore | None, soil: complex) -> Callable[[FloatArray], ComplexArray]:
     def outside(points: FloatArray) -> ComplexArray:
         if bore is None:
             return np.full(points.shape[1:], complex(soil))
@@ -219,7 +219,7 @@ def filled(bore: Bore | None, soil: complex) -> Callable[[FloatArray], ComplexAr
     return outside
 
 
-def sectors(case: Section) -> Readings:
+def sectors(case: CrossSection) -> Readings:
     """Each sector in turn, across the pipe. AnnulusError of a head outside its pipe."""
     check(case)
     head, pipe = case.head, case.pipe
@@ -239,7 +239,7 @@ def sectors(case: Section) -> Readings:
     return Readings(own.real, -1000 * own.imag, mutual, own.real * 1000 / head.electrode_mm, found)
 
 
-def stations(head: Head, half_mm: float, step_mm: float, fine: float) -> FloatArray:
+def stations(head: HeadGeometry, half_mm: float, step_mm: float, fine: float) -> FloatArray:
     """z of nodes: edges of electrodes and shields, fine beside the electrodes'."""
     inner, outer = head.apart_mm / 2, head.apart_mm / 2 + head.electrode_mm
     side = [inner, outer, outer + head.overlap_mm]
@@ -248,7 +248,7 @@ def stations(head: Head, half_mm: float, step_mm: float, fine: float) -> FloatAr
     return graded(marks, [step / fine for step in steps], EDGE_MM / fine)
 
 
-def electrodes(z: FloatArray, head: Head) -> tuple[list[BoolArray], list[BoolArray]]:
+def electrodes(z: FloatArray, head: HeadGeometry) -> tuple[list[BoolArray], list[BoolArray]]:
     """(nodes,) along the pipe: of the two electrodes, the first at z > 0, and of the shields behind them."""
     inner, outer = head.apart_mm / 2 - ON_MM, head.apart_mm / 2 + head.electrode_mm + ON_MM
     plates = [(side * z >= inner) & (side * z <= outer) for side in (1, -1)]

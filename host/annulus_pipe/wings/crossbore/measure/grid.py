@@ -24,9 +24,9 @@ from annulus_pipe.wings.crossbore.measure.readings import (
     REFERENCE_PART,
     SECTORS,
     SPIKE_ROWS,
+    CapacitiveHead,
     Gap,
-    Head,
-    Why,
+    NoReadingReason,
     doubted,
     joined,
     jumps,
@@ -65,7 +65,7 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grid:
+class PipeGrid:
     """Along the pipe, z_mm (G,) by the odometer. c_ff : (G, 3) capacitance, fF, without drift, spikes and lift-off.
 
     Places that were not seen are False in `seen` (G,), and drawn over. roll_deg : (G,), not wrapped. speed_mm_s : (G,).
@@ -93,7 +93,7 @@ class Grid:
         return np.asarray((120.0 * np.arange(SECTORS) + self.roll_deg[index]) % 360)
 
 
-def on_grid(log: Log, head: Head = HEAD) -> Grid:
+def on_grid(log: Log, head: CapacitiveHead = HEAD) -> PipeGrid:
     """Raises AnnulusError where a log is too short, never moves, or a sector gives no readings."""
     unread = int(
         np.count_nonzero(~np.isfinite(np.column_stack([c for c in _columns(log) if c is not None])).all(axis=1))
@@ -142,14 +142,16 @@ def on_grid(log: Log, head: Head = HEAD) -> Grid:
     lifted = _between_jumps(jumps(rough, np.isfinite(whole), STEP_MM, uneven))
     unseen = (blank > 1 - 1e-9).any(axis=1) | lifted.any(axis=1)
     gaps += joined([gap for gap in stretches(why, log.odometer_mm) if _leaves_unseen(gap, z, unseen)])
-    gaps += stretches(np.where(lifted, 1 + list(Why).index(Why.JUMP), 0), z)
+    gaps += stretches(np.where(lifted, 1 + list(NoReadingReason).index(NoReadingReason.JUMP), 0), z)
     raised = c_grid - smooth
     sigma = max(robust_sigma(raised), 0.3)
     narrow = np.abs(raised) > OFF * sigma
     c_grid = np.where(narrow, smooth, c_grid)
     grid_speed = _filled(_binned(z, log.odometer_mm, speed))
     raised = np.where(unseen[:, None], 0.0, raised)
-    return Grid(z, c_grid, loss, roll, ~unseen, raised, grid_speed, int(spiky.sum()), unread, lift, uneven, tuple(gaps))
+    return PipeGrid(
+        z, c_grid, loss, roll, ~unseen, raised, grid_speed, int(spiky.sum()), unread, lift, uneven, tuple(gaps)
+    )
 
 
 def _columns(log: Log) -> list[FloatArray | None]:
@@ -165,7 +167,7 @@ def _placed(log: Log) -> Log:
     return Log(*(None if column is None else column[whole] for column in _columns(log)))  # type: ignore[arg-type]
 
 
-def _why(log: Log, head: Head) -> tuple[IntArray, Log]:
+def _why(log: Log, head: CapacitiveHead) -> tuple[IntArray, Log]:
     """(N, 3) 0 for a reading, else why it is none (`readings.doubted`); without the loss where that mostly fails."""
     low, high = head.range_ff
     why = doubted(1000 * log.c_pf, log.odometer_mm, low, high, NOISE_MOST_FF)
@@ -178,7 +180,7 @@ def _why(log: Log, head: Head) -> tuple[IntArray, Log]:
             why = np.where(why > 0, why, lost)
     for k, column in enumerate(why.T):
         if np.count_nonzero(column == 0) < ROWS_MIN:
-            usual = list(Why)[int(np.bincount(column[column > 0]).argmax()) - 1]
+            usual = list(NoReadingReason)[int(np.bincount(column[column > 0]).argmax()) - 1]
             finite = log.c_pf[np.isfinite(log.c_pf[:, k]), k]
             middle = f"{np.median(finite):.4g} pF in the middle" if len(finite) else "no number at all"
             raise AnnulusError(

@@ -13,7 +13,17 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.wings.crossbore.measure.bored import bored, source_cases
-from annulus_pipe.wings.crossbore.measure.field import AIR, SECTORS, SOIL, WATER, Along, Pair, Section, along, sectors
+from annulus_pipe.wings.crossbore.measure.field import (
+    AIR,
+    SECTORS,
+    SOIL,
+    WATER,
+    Along,
+    CrossSection,
+    Pair,
+    along,
+    sectors,
+)
 
 SEWER_MM = 101.6  # radius, 8 inches
 POCKET_MM = 76.2  # of air along the pipe, as in Figure 10.3
@@ -50,7 +60,7 @@ def model(
     soil: complex = SOIL, progress: Callable[[str, int, int], None] = lambda what, done, total: None, fine: float = 1.0
 ) -> Model:
     """Some 40 s. AnnulusError where scikit-fem is not installed."""
-    plain = Section(soil=soil, fine=fine)
+    plain = CrossSection(soil=soil, fine=fine)
     pairs = {name: along(Along(one, one, fine=fine)) for name, one in (("air", AIR), ("soil", soil), ("water", WATER))}
     swing = pairs["soil"].differential_pf - pairs["air"].differential_pf
     unshielded = {name: along(Along(one, one, shield=False, fine=fine)) for name, one in (("air", AIR), ("soil", soil))}
@@ -129,7 +139,7 @@ def _map(pair: Pair) -> Map:
     return Map(pair.field.grid.middle[:, ::-1], 1000 * pair.field.strength([1.0, 0.0]))
 
 
-def _bores(plain: Section, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
+def _bores(plain: CrossSection, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
     """In three dimensions: what bores change, and a head off its axis."""
     fills = {"air": AIR, "water": WATER}
     cases = [

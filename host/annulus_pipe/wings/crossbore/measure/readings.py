@@ -38,7 +38,7 @@ LOOSE_ROWS, LOOSE_PART = 15, 0.4  # a bead takes up six rows at most, a spike tw
 NOISE_MOST_FF = 5.0  # eight times the chip's; what scatters by more all along is loose all along
 
 
-class Why(StrEnum):
+class NoReadingReason(StrEnum):
     """Why a number is no reading."""
 
     NONE = "no number"
@@ -48,11 +48,11 @@ class Why(StrEnum):
     JUMP = "a jump faster than electrodes so long can see"
 
 
-WHYS = tuple(Why)
+WHYS = tuple(NoReadingReason)
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class CapacitiveHead:
     """What a head reads, told once on the bench. Those of the simulated 2.4-inch head in a 3-inch pipe of SDR 11.
 
     air_ff : a sector's reading in a pipe in air. sector_deg : how wide a sector looks. coupling_ff, coupling_mm : what
@@ -70,7 +70,7 @@ class Head:
         return self.air_ff * (1 - UNDER_AIR), self.air_ff * (1 + OVER_AIR)
 
 
-HEAD = Head()
+HEAD = CapacitiveHead()
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class Gap:
     sectors: tuple[int, ...]
     from_mm: float
     to_mm: float
-    why: Why
+    why: NoReadingReason
 
     def __str__(self) -> str:
         who = " and ".join("reference" if k == 0 else f"sector {k}" for k in self.sectors)
@@ -93,19 +93,19 @@ def doubted(values: FloatArray, z_mm: FloatArray, low: float, high: float, noise
     """(N, K) 0 for a reading, else 1 + the place in WHYS of why it is none. values : (N, K), in time; a bead, which all
     columns see at once, is a reading. noise_most : scatter beyond which nothing is a reading."""
     why = np.zeros(values.shape, np.int64)
-    why[(values < low) | (values > high)] = _code(Why.RANGE)
-    why[~np.isfinite(values)] = _code(Why.NONE)
+    why[(values < low) | (values > high)] = _code(NoReadingReason.RANGE)
+    why[~np.isfinite(values)] = _code(NoReadingReason.NONE)
     for k, column in enumerate(values.T):
         known = why[:, k] == 0
         if known.sum() > LOOSE_ROWS:
-            why[_stuck(np.where(known, column, np.nan), z_mm), k] = _code(Why.STUCK)
+            why[_stuck(np.where(known, column, np.nan), z_mm), k] = _code(NoReadingReason.STUCK)
     filled = np.stack([_bridged(column, why[:, k] == 0) for k, column in enumerate(values.T)], axis=1)
     often = uniform_filter1d(spikes(filled, noise_most).astype(float), LOOSE_ROWS, axis=0, mode="nearest")
     loose = maximum_filter1d(often > LOOSE_PART, 2 * LOOSE_ROWS + 1, axis=0)
-    failed = (why > 0) & (why != _code(Why.NONE))
+    failed = (why > 0) & (why != _code(NoReadingReason.NONE))
     beside = maximum_filter1d(failed.astype(np.int8), 2 * SPIKE_ROWS + 1, axis=0) > 0
     why[beside & (why == 0)] = _nearest(why, failed)[beside & (why == 0)]
-    why[loose & (why == 0)] = _code(Why.LOOSE)
+    why[loose & (why == 0)] = _code(NoReadingReason.LOOSE)
     return why
 
 
@@ -172,7 +172,7 @@ def jumps(smooth: FloatArray, seen: BoolArray, step_mm: float, uneven_ff: float)
     return out
 
 
-def _code(why: Why) -> int:
+def _code(why: NoReadingReason) -> int:
     return 1 + WHYS.index(why)
 
 

@@ -15,10 +15,10 @@ to draw the rings.
 
 from annulus_pipe.wings.fringe.measure.calibration import NAMES as plate_names
 from annulus_pipe.wings.fringe.measure.calibration import PlateCalibration, ReferencePlate, calibrate_plate
-from annulus_pipe.wings.fringe.measure.clean import PipeCalibration, calibrate_pipe
+from annulus_pipe.wings.fringe.measure.clean import CleanPipeFit, calibrate_pipe
 from annulus_pipe.wings.fringe.measure.edges import edged
-from annulus_pipe.wings.fringe.measure.head import FringeHead, Lamp, lamps_to_list, projector_to_dict
-from annulus_pipe.wings.fringe.measure.heights import Heights, Points, View, heights, spline
+from annulus_pipe.wings.fringe.measure.head import FringeHead, SlideLamp, lamps_to_list, projector_to_dict
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points, heights, spline
 from annulus_pipe.wings.fringe.measure.merge import merged
 from annulus_pipe.wings.fringe.measure.noise import noise_of
 from annulus_pipe.wings.fringe.measure.order import told_elsewhere
@@ -34,21 +34,21 @@ from annulus_pipe.wings.fringe.measure.texture import untextured
 from annulus_pipe.wings.fringe.measure.transfer import Transfer, light_of, transfers
 
 __all__ = [
+    "CleanPipeFit",
     "Eye",
     "FringeHead",
     "FringeProjector",
+    "FringeView",
     "Heights",
-    "Lamp",
-    "PipeCalibration",
     "PipeMap",
     "PlateCalibration",
     "Points",
     "ReferencePlate",
     "RingSlide",
     "Shots",
+    "SlideLamp",
     "Steps",
     "Transfer",
-    "View",
     "calibrate_pipe",
     "calibrate_plate",
     "edged",

@@ -122,7 +122,7 @@ class HeadFrames(NamedTuple):
     eye: IntArray  # (N,) whose frame each is
 
 
-class Light(NamedTuple):
+class HeadLight(NamedTuple):
     """What is known of a head's light and lens."""
 
     shading: FloatArray  # (E, 3, TERMS) by eye
@@ -131,7 +131,7 @@ class Light(NamedTuple):
     noise: FloatArray  # (3,) variance of a grey level I is noise . (1, I, I^2)
 
 
-class WallPoints(NamedTuple):
+class BorePoints(NamedTuple):
     """P points of the wall."""
 
     base: FloatArray  # (P, 3)
@@ -181,8 +181,8 @@ def look_around(frames, points, normal, grey, phase, slope, pull, seen):  # type
 
 @jit
 def follow_wall(frames, light, points, tolerance, outcome, who):  # type: ignore[no-untyped-def]
-    """Every wall point's height outwards, in a pipe's light (module docstring): `HeadFrames`, `Light` and `WallPoints`
-    in, `track.Outcome` out.
+    """Every wall point's height outwards, in a pipe's light (module docstring): `HeadFrames`, `HeadLight` and
+    `BorePoints` in, `track.Outcome` out.
 
     tolerance : of the height, where rounds end. who : (P,) written: the eye whose frames told it, the number of eyes
     where several did, -1 where none.

@@ -28,8 +28,8 @@ from annulus_pipe.wings.fringe.measure.placement import (
     LAW,
     Eye,
     Freedom,
-    Head,
-    Looks,
+    PlacedHead,
+    PointLooks,
     Shots,
     changed,
     refined,
@@ -55,7 +55,7 @@ COHERENT = 0.15  # of all light adding up, over what a slide of full modulation 
 
 
 @dataclass(frozen=True, slots=True)
-class PipeCalibration:
+class CleanPipeFit:
     """What a clean pipe says. projector, and sigma of its centre_mm (3), direction (2, rad about its x and y), phase0
     (rad), logarithm of the period, harmonics, in this order; covariance of the same. pose : (6,) how the head lay.
     misfit : grey levels. reversed : the places were told the other way round, as those of the pipe before the head."""
@@ -77,7 +77,7 @@ def calibrate_pipe(
     radius_mm: float,
     *,
     shift_sigma_mm: float = 0.01,
-) -> PipeCalibration:
+) -> CleanPipeFit:
     """The projector of `designed`'s kind as the frames say it is.
 
     cameras : those that look at the slide's light, in a frame whose z lies along the pipe. shift_mm : (F, 3) where the
@@ -95,7 +95,7 @@ def calibrate_pipe(
         raise AnnulusError(
             f"{len(shift_mm)} frames whose places aside do not span a plane: at least three, not in a line"
         )
-    head = Head.at([Eye(camera, designed) for camera in cameras], shots, shift_mm, radius_mm)
+    head = PlacedHead.at([Eye(camera, designed) for camera in cameras], shots, shift_mm, radius_mm)
     head, coefficients, (near, far) = lit_wall(head, shots.images)
     z = np.linspace(near, far, CELLS[0]) + float(np.median(shift_mm[:, 2]))
     points = Points.pipe(np.arange(CELLS[1]) * 2 * np.pi / CELLS[1], z, radius_mm)
@@ -128,7 +128,7 @@ def calibrate_pipe(
         if turn > ROUNDS // 4 and (moved < STILL * np.sqrt(np.diag(covariance)[-count : -count + 3])).all():
             break
     block = covariance[-count:, -count:]
-    return PipeCalibration(
+    return CleanPipeFit(
         head.projector,
         np.sqrt(np.diag(block)),
         block,
@@ -139,9 +139,9 @@ def calibrate_pipe(
     )
 
 
-def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, FringeProjector]:
+def _found(head: PlacedHead, images: Float32Array, points: Points) -> tuple[float, FringeProjector]:
     """The design, turned and stretched until all light adds up in phase, and how much that is: half the modulation."""
-    here = Looks.of(head, images, points.base, points.normal)
+    here = PointLooks.of(head, images, points.base, points.normal)
     good = np.isfinite(here.grey)
     if not good.any():
         raise AnnulusError("no wall is lit: are these frames of a clean pipe?")
@@ -174,9 +174,9 @@ def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, Fri
     return height, replace(nearly, phase0=nearly.phase0 + float(np.angle(sum_of(nearly))))
 
 
-def _misfit(head: Head, images: Float32Array, points: Points) -> float:
+def _misfit(head: PlacedHead, images: Float32Array, points: Points) -> float:
     """Grey levels that frames differ from the model, robustly."""
-    here = Looks.of(head, images, points.base, points.normal)
+    here = PointLooks.of(head, images, points.base, points.normal)
     gain, depth = shaded(head, shading_terms(head, here.seen))
     unit = gain * (1 + depth * head.view.wave(here.phase))
     good = np.isfinite(here.grey)

@@ -27,7 +27,7 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.jit import jit
 from annulus_pipe.numeric.robust import TUKEY, biweight, robust_sigma
 from annulus_pipe.wings.fringe.measure.bore import TERMS, place, shade
-from annulus_pipe.wings.fringe.measure.placement import Head, Sight
+from annulus_pipe.wings.fringe.measure.placement import EyeFrames, PlacedHead
 from annulus_pipe.wings.fringe.measure.projector import phase_and_slope, wave
 from annulus_pipe.wings.fringe.measure.track import sample, see
 
@@ -85,8 +85,8 @@ class _Cut:
 
     @staticmethod
     def of(
-        head: Head,
-        sight: Sight,
+        head: PlacedHead,
+        sight: EyeFrames,
         images: Float32Array,
         noise: tuple[float, float, float],
         phi: float,
@@ -238,7 +238,7 @@ def look_at_cut(frames, shading, blur_px, normal, radius, z, grey, gain, depth, 
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _GrooveFit:
     """numbers : as `_Cut.light` takes them; left (K, J): of each look, over its noise; misfit: chi^2."""
 
     numbers: FloatArray
@@ -274,7 +274,7 @@ class _Groove:
 
 
 def measured(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     noise: tuple[float, float, float],
     phi_rad: FloatArray,
@@ -366,7 +366,7 @@ def _groove(cut: _Cut, rows: tuple[int, int], wall: float, starts: list[FloatArr
     return _Groove(cut, rows, wall, final.numbers, sigma)
 
 
-def _fitted(cut: _Cut, start: FloatArray) -> _Fit:
+def _fitted(cut: _Cut, start: FloatArray) -> _GrooveFit:
     """The fit that is reached from a start, by least squares; albedo is projected out at every step."""
     low, high, step, rows = float(cut.z[0]), float(cut.z[-1]), cut.plane.step, len(cut.z)
     smooth = np.diff(np.eye(rows), axis=0) / (ALBEDO * float(np.median(cut.grey / cut.gain)))
@@ -388,11 +388,11 @@ def _fitted(cut: _Cut, start: FloatArray) -> _Fit:
     found = least_squares(left, start, slopes, bounds, x_scale=scale, ftol=SETTLED, xtol=SETTLED / 100)
     scatter = max(2.0 * float(found.cost) / (cut.grey.size - rows - UNKNOWNS), 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * scatter
-    return _Fit(found.x, covariance, found.fun[: cut.grey.size].reshape(cut.grey.shape), 2.0 * float(found.cost))
+    return _GrooveFit(found.x, covariance, found.fun[: cut.grey.size].reshape(cut.grey.shape), 2.0 * float(found.cost))
 
 
 def _narrow_losses(
-    head: Head, z_mm: FloatArray, height: FloatArray, sigma: FloatArray
+    head: PlacedHead, z_mm: FloatArray, height: FloatArray, sigma: FloatArray
 ) -> tuple[BoolArray, list[tuple[int, int, int]]]:
     """(Z, A) cells of losses that are narrower along the pipe than what their rim hides and the blur fills; and these,
     column by column: column, first row, row beyond the last."""
@@ -429,7 +429,7 @@ def _beside_others(runs: list[tuple[int, int, int]], columns: int) -> list[tuple
     return sorted(out)
 
 
-def _aslant(head: Head, number: int) -> tuple[float, float]:
+def _aslant(head: PlacedHead, number: int) -> tuple[float, float]:
     """How far along the pipe a rim hides the wall behind it from an eye's lamp, per mm of depth, and what the lens's
     blur spans there, mm: both in the middle of the wall it sees."""
     eye, middle = head.eyes[number], head.radius_mm

@@ -39,7 +39,7 @@ RADIUS_MAX_MM = 5000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Lamp:
+class SlideLamp:
     """One slide of several: ids of the cameras that look at its light, and the slots of the lamp cycle at which it is
     lit; empty: all."""
 
@@ -61,7 +61,7 @@ class FringeHead:
     distance_mm: float | None = None
     transfer: Mapping[str, Transfer] = field(default_factory=dict, hash=False)
     radius_mm: float | None = None
-    lamps: tuple[Lamp, ...] = ()
+    lamps: tuple[SlideLamp, ...] = ()
     mount: tuple[Matrix, Vector] = (STILL, (0.0, 0.0, 0.0))
     rms_rad: float = 0.0
 
@@ -98,7 +98,7 @@ class FringeHead:
     def eyes(self) -> tuple[tuple[Eye, int, tuple[int, ...]], ...]:
         """Each camera with each slide it looks at, in the pipe's frame: the eye, the camera's id, the slots at which
         that slide is lit (none: all)."""
-        lamps = self.lamps or (() if self.projector is None else (Lamp(self.projector),))
+        lamps = self.lamps or (() if self.projector is None else (SlideLamp(self.projector),))
         turn, moved = np.array(self.mount[0]), np.array(self.mount[1])
         out = []
         for lamp in lamps:
@@ -140,7 +140,7 @@ class FringeHead:
         raise AnnulusError(f"calibration: knows camera {known}, not camera {number} of the scan")
 
 
-def _lamps(value: object, cameras: Sequence[HeadCamera]) -> tuple[Lamp, ...]:
+def _lamps(value: object, cameras: Sequence[HeadCamera]) -> tuple[SlideLamp, ...]:
     where = '"pattern.projectors"'
     if not isinstance(value, list) or not 1 <= len(value) <= LAMPS_MAX:
         raise ValueError(f"{where} must be a list of 1..{LAMPS_MAX} slides")
@@ -151,7 +151,7 @@ def _lamps(value: object, cameras: Sequence[HeadCamera]) -> tuple[Lamp, ...]:
         ids, slots = (_places(section.get(key, []), f'{where}[{i}]."{key}"') for key in ("cameras", "slots"))
         if set(ids) - known:
             raise ValueError(f'{where}[{i}]."cameras" names {min(set(ids) - known)}, which is no camera of the head')
-        out.append(Lamp(slide, ids, slots))
+        out.append(SlideLamp(slide, ids, slots))
     return tuple(out)
 
 
@@ -161,7 +161,7 @@ def _places(value: object, where: str) -> tuple[int, ...]:
     return tuple(untrusted.whole(one, where, 0, CAMERA_ID_MAX) for one in value)
 
 
-def lamps_to_list(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
+def lamps_to_list(lamps: Sequence[SlideLamp]) -> list[dict[str, Any]]:
     """`pattern.projectors`, as `FringeHead.from_dict` reads it."""
     return [
         {**projector_to_dict(lamp.projector), "cameras": list(lamp.cameras), "slots": list(lamp.slots)}

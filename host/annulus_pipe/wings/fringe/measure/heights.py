@@ -1,6 +1,6 @@
 """Frames and where they were taken, to a height for every point: the door to the loop in `track`, and the fringe order.
 
-    view = View.of(camera, projector, moved_mm)            one camera of the head, N frames
+    view = FringeView.of(camera, projector, moved_mm)      one camera of the head, N frames
     found = heights(view, images, points, noise=noise)     noise as `fringe.noise` finds it
 
 A phase says the height but for whole periods. Three witnesses decide the order: the coarse height, where its bounds
@@ -19,7 +19,16 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Int
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
-from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, UNMODULATED, Frames, Outcome, Tracks, follow, look
+from annulus_pipe.wings.fringe.measure.track import (
+    AMBIGUOUS,
+    GOOD,
+    UNMODULATED,
+    Outcome,
+    TrackFrames,
+    Tracks,
+    follow,
+    look,
+)
 
 TOLERANCE_RAD = 1e-3  # of the phase, where rounds end: a thousandth of what a grey level's noise makes of it at SNR 1
 PARALLAX = 16.0  # chi^2 by which the best order must beat the next: four sigma
@@ -32,7 +41,7 @@ CONTINUOUS = 0.25  # of a period: neighbours nearer than that are one surface
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class FringeView:
     """One camera of a head in N frames. World to camera and to projector (N, 3, 4), eyes (N, 3) in the world."""
 
     lens: FloatArray  # as track.see takes it
@@ -45,7 +54,7 @@ class View:
     @staticmethod
     def of(
         one: HeadCamera, projector: FringeProjector, moved_mm: FloatArray, turns: FloatArray | None = None
-    ) -> "View":
+    ) -> "FringeView":
         """moved_mm : (N, 3) where the head's origin is in the world. turns : (N, 3, 3) world's vectors to the head's.
 
         AnnulusError for fewer than three frames, for a head that stood still, and for a lens it cannot follow.
@@ -73,7 +82,7 @@ class View:
             return np.concatenate([both, (shift - np.einsum("nij,nj->ni", both, moved_mm))[..., None]], axis=2)
 
         along = (moved_mm - moved_mm.mean(axis=0)) @ np.linalg.svd(moved_mm - moved_mm.mean(axis=0))[2][0]
-        return View(
+        return FringeView(
             lens,
             pose(rotation, away),
             pose(light, -light @ centre),
@@ -169,7 +178,7 @@ class Heights:
 
 
 def heights(
-    view: View,
+    view: FringeView,
     images: Float32Array,
     points: Points,
     start_mm: FloatArray | float = 0.0,
@@ -192,7 +201,7 @@ def heights(
     if len(images) != len(view.cameras):
         raise AnnulusError(f"{len(images)} images for {len(view.cameras)} positions")
     start = np.array(np.broadcast_to(np.asarray(start_mm, dtype=float), len(points.base)))
-    fit = _Fit(noise, drift_sigma, tolerance_mm)
+    fit = _HeightFit(noise, drift_sigma, tolerance_mm)
     found = _again(view, images, points, _run(view, images, points, start, fit, residuals), fit)
     if bounds_mm is None:
         return found
@@ -216,7 +225,7 @@ def spline(images: Float32Array) -> Float32Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _HeightFit:
     """What a fit takes beside its frames; see `heights`."""
 
     noise: tuple[float, float, float]
@@ -225,7 +234,7 @@ class _Fit:
 
 
 def _run(
-    view: View, images: Float32Array, points: Points, start: FloatArray, fit: _Fit, residuals: bool = False
+    view: FringeView, images: Float32Array, points: Points, start: FloatArray, fit: _HeightFit, residuals: bool = False
 ) -> Heights:
     count = len(points.base)
     outcome = Outcome.of(count)
@@ -237,7 +246,7 @@ def _run(
         tolerance = TOLERANCE_RAD / float(np.median(rate[np.isfinite(rate)]))
     tracked = images.shape[2] > 1
     nothing = np.empty((0, 0, 0), np.float32)
-    frames = Frames(
+    frames = TrackFrames(
         images=np.ascontiguousarray(images, np.float32) if tracked else nothing,
         samples=np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
         lens=view.lens,
@@ -257,7 +266,7 @@ def _rows(vectors: FloatArray) -> FloatArray:
     return np.ascontiguousarray(vectors[:1] if vectors.strides[0] == 0 else vectors)
 
 
-def _again(view: View, images: Float32Array, points: Points, found: Heights, fit: _Fit) -> Heights:
+def _again(view: FringeView, images: Float32Array, points: Points, found: Heights, fit: _HeightFit) -> Heights:
     """Points without a height, fitted again from their neighbours' heights: at a step's upper edge the first start lies
     too far below."""
     columns = points.shape[1]
@@ -280,13 +289,13 @@ def _again(view: View, images: Float32Array, points: Points, found: Heights, fit
 
 
 def _order(
-    view: View,
+    view: FringeView,
     images: Float32Array,
     points: Points,
     found: Heights,
     start_mm: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
-    fit: _Fit,
+    fit: _HeightFit,
 ) -> Heights:
     """The order of each point among those whose height lies within the bounds."""
     low, high = bounds

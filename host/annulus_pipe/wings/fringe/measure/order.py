@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus_pipe.wings.fringe.measure.heights import Points, View, heights
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Points, heights
 from annulus_pipe.wings.fringe.measure.track import GOOD
 
 FINE_CELLS = 4.0  # sigma: wider is lamp and lens, and alike at every order
@@ -24,7 +24,7 @@ NEAR = 0.5  # of a period: what came back to the first order is no other
 
 
 def told_elsewhere(
-    views: Sequence[tuple[View, Float32Array]], points: Points, *, drift_sigma: float
+    views: Sequence[tuple[FringeView, Float32Array]], points: Points, *, drift_sigma: float
 ) -> tuple[float, float, float] | None:
     """(height, mm, median; correlation there; correlation where it was told) of the order at which two cameras see one
     texture; None where that is the order nearest to height 0, or nothing is told.
@@ -52,7 +52,7 @@ def told_elsewhere(
     return float(np.median(found[0][best][0][seen])), alike[best], alike[0]
 
 
-def _there(view: View, points: Points, h: FloatArray, order: int) -> FloatArray:
+def _there(view: FringeView, points: Points, h: FloatArray, order: int) -> FloatArray:
     """(P,) mm: heights that lie whole fringes from h, found a fringe at a time, for their spacing is not even."""
     way = 1 if order > 0 else -1
     for _ in range(abs(order)):

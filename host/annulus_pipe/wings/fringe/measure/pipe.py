@@ -30,11 +30,11 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Ima
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure import groove
-from annulus_pipe.wings.fringe.measure.bore import Light, WallPoints, follow_wall
+from annulus_pipe.wings.fringe.measure.bore import BorePoints, HeadLight, follow_wall
 from annulus_pipe.wings.fringe.measure.heights import PARALLAX, Heights, Points, spline
 from annulus_pipe.wings.fringe.measure.noise import noise_of
-from annulus_pipe.wings.fringe.measure.placement import LAW, Eye, Freedom, Head, Shots, refined
-from annulus_pipe.wings.fringe.measure.slip import Places, find_places
+from annulus_pipe.wings.fringe.measure.placement import LAW, Eye, Freedom, PlacedHead, Shots, refined
+from annulus_pipe.wings.fringe.measure.slip import FlashSlips, find_places
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM, Outcome
 
 STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
@@ -86,7 +86,7 @@ class PipeMap:
     modulation: FloatArray
     frames: IntArray
     seen_by: IntArray
-    head: Head
+    head: PlacedHead
     noise: tuple[float, float, float]
     slipped: BoolArray
 
@@ -116,7 +116,7 @@ def measure_pipe(
     z_mm = np.asarray(z_mm, dtype=float)
     if len(shots.flash) and int(shots.flash.max()) >= len(z_mm):
         raise AnnulusError(f"{int(shots.flash.max()) + 1} flashes for {len(z_mm)} positions")
-    head = Head.at(eyes, shots, z_mm[:, None] * [0.0, 0.0, 1.0], radius_mm, roll_rad)
+    head = PlacedHead.at(eyes, shots, z_mm[:, None] * [0.0, 0.0, 1.0], radius_mm, roll_rad)
     poses = head.poses
     head, coefficients, (near, far) = lit_wall(head, shots.images)
     step = cell_mm or CELL_OF_RADIUS * radius_mm
@@ -175,7 +175,7 @@ def measure_pipe(
     )
 
 
-def lit_wall(head: Head, images: Float32Array) -> tuple[Head, Float32Array, tuple[float, float]]:
+def lit_wall(head: PlacedHead, images: Float32Array) -> tuple[PlacedHead, Float32Array, tuple[float, float]]:
     """The head with its shading's extent, the frames as splines, NaN where the slide throws no light, and how far
     ahead the lit wall begins and ends, mm. What lies in the dark of a rod or beyond the slide's edge stays there: they
     move with the head."""
@@ -261,7 +261,7 @@ def _fringe_px(eye: Eye, radius_mm: float) -> int:
 
 
 def followed(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     points: Points,
     start: FloatArray,
@@ -270,8 +270,8 @@ def followed(
 ) -> Heights:
     """`follow_wall` of those points, heights outwards from where the points are."""
     count = len(points.base)
-    light = Light(head.shading, head.blur_squared if texture is not None else 0.0, DRIFT, np.array(noise))
-    wall = WallPoints(
+    light = HeadLight(head.shading, head.blur_squared if texture is not None else 0.0, DRIFT, np.array(noise))
+    wall = BorePoints(
         base=points.base,
         path=np.ascontiguousarray(points.path),
         texture=np.zeros(count) if texture is None else np.nan_to_num(texture),
@@ -282,7 +282,7 @@ def followed(
     return Heights(*outcome, np.empty((0, 0), np.float32), who)
 
 
-def _freedom(head: Head, prior: FloatArray, wall: float) -> Freedom:
+def _freedom(head: PlacedHead, prior: FloatArray, wall: float) -> Freedom:
     sigma = np.array(POSE_SIGMA) * [1, 1, 1, head.radius_mm, head.radius_mm, head.radius_mm]
     return Freedom(
         prior,
@@ -296,8 +296,8 @@ def _freedom(head: Head, prior: FloatArray, wall: float) -> Freedom:
 
 
 def _placed(
-    head: Head, images: Float32Array, points: Points, prior: FloatArray
-) -> tuple[Head, tuple[float, float, float]]:
+    head: PlacedHead, images: Float32Array, points: Points, prior: FloatArray
+) -> tuple[PlacedHead, tuple[float, float, float]]:
     """The head's poses and shading from some cells, and the noise."""
     base = float(np.hypot(*points.base[0, :2]))
     wall, noise = RADIUS_SIGMA * base, (1.0, 0.0, 0.0)
@@ -313,14 +313,14 @@ def _placed(
 
 
 def _refocused(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     points: Points,
     prior: FloatArray,
     noise: tuple[float, float, float],
     start: FloatArray,
     texture: FloatArray,
-) -> Head:
+) -> PlacedHead:
     """The head with its lens's blur, found from what slopes of albedo do to the phase."""
     base = float(np.hypot(*points.base[0, :2]))
     for _ in range(2):
@@ -347,14 +347,14 @@ class _Maps:
     noise: tuple[float, float, float]
     step_mm: float
 
-    def heights(self, head: Head, start: FloatArray, texture: FloatArray | None) -> Heights:
+    def heights(self, head: PlacedHead, start: FloatArray, texture: FloatArray | None) -> Heights:
         return followed(head, self.images, self.points, start, self.noise, texture)
 
-    def places(self, head: Head, prior: FloatArray, found: Heights, texture: FloatArray) -> Places:
+    def places(self, head: PlacedHead, prior: FloatArray, found: Heights, texture: FloatArray) -> FlashSlips:
         base = float(np.hypot(*self.points.base[0, :2]))
         freedom = _freedom(head, prior, _scatter(found, base))
 
-        def follow(other: Head, some: Points, height: FloatArray, slope: FloatArray) -> Heights:
+        def follow(other: PlacedHead, some: Points, height: FloatArray, slope: FloatArray) -> Heights:
             return followed(other, self.images, some, np.nan_to_num(height), self.noise, slope)
 
         return find_places(head, self.images, self.points, found, texture, freedom, self.noise, self.step_mm, follow)
@@ -372,7 +372,7 @@ class _Maps:
 
 
 def _scattered(
-    head: Head, z_mm: FloatArray, found: Heights, shape: tuple[int, int], plain_mm: FloatArray, sloped: BoolArray
+    head: PlacedHead, z_mm: FloatArray, found: Heights, shape: tuple[int, int], plain_mm: FloatArray, sloped: BoolArray
 ) -> Heights:
     """Sigma as cells APART differ, row by row: how far ahead and how often a row was seen decides what texture and blur
     leave beyond the noise of frames. Most of the wall is smooth over that distance. plain_mm : (P,) heights with the
@@ -404,7 +404,7 @@ def _scattered(
 
 
 def _decided(
-    head: Head, images: Float32Array, points: Points, found: Heights, noise: tuple[float, float, float]
+    head: PlacedHead, images: Float32Array, points: Points, found: Heights, noise: tuple[float, float, float]
 ) -> Heights:
     """A connected surface whose order of fringe its cells do not decide, against their other orders, is ambiguous."""
     shape = points.shape

@@ -19,7 +19,7 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Int
 from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, look_around
-from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, Heights, Points, View
+from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, FringeView, Heights, Points
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
 POSE = 6  # numbers of a pose
@@ -55,7 +55,7 @@ class Shots:
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class EyeFrames:
     """N frames of a head of several eyes, each field as in `bore.HeadFrames`."""
 
     lens: FloatArray
@@ -114,7 +114,7 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
+class PlacedHead:
     """A head in N frames of F flashes, and what is known of its light.
 
     poses : (F, 6) rotation vector (rad, world's vectors to the head's) and place (mm) of the head's frame. eye, flash :
@@ -134,18 +134,18 @@ class Head:
     @staticmethod
     def at(
         eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float, roll_rad: FloatArray | None = None
-    ) -> "Head":
+    ) -> "PlacedHead":
         """A head that stands straight at (F, 3) places, rolled clockwise looking forward; its light is unknown."""
         poses = np.concatenate([np.zeros((len(places_mm), 3)), places_mm], axis=1)
         poses[:, 2] = 0.0 if roll_rad is None else -roll_rad
-        return Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
+        return PlacedHead(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
 
     @property
     def projector(self) -> FringeProjector:
         """The one that all eyes share, or the first."""
         return self.eyes[0].projector
 
-    def under(self, projector: FringeProjector) -> "Head":
+    def under(self, projector: FringeProjector) -> "PlacedHead":
         """The same head with that projector alone."""
         return replace(self, eyes=tuple(replace(eye, projector=projector) for eye in self.eyes))
 
@@ -157,12 +157,12 @@ class Head:
         return (near + far) / 2, (far - near) / 2
 
     @property
-    def view(self) -> Sight:
+    def view(self) -> EyeFrames:
         """AnnulusError where an eye has fewer than three frames, or did not move between them."""
         turns, count = np.asarray(Rotation.from_rotvec(self.poses[:, :3]).as_matrix()), len(self.eye)
         away = -np.einsum("nij,nj->ni", turns, self.poses[:, 3:])
         widest = max(len(eye.projector.numbers) for eye in self.eyes)
-        out = Sight(
+        out = EyeFrames(
             np.zeros((count, 10)),
             np.zeros((count, 3, 4)),
             np.ascontiguousarray(np.concatenate([turns, away[..., None]], axis=2)[self.flash]),
@@ -175,7 +175,7 @@ class Head:
         for number, eye in enumerate(self.eyes):
             mine = np.flatnonzero(self.eye == number)
             own = self.flash[mine]
-            seen = View.of(eye.camera, eye.projector, self.poses[own, 3:], turns[own])
+            seen = FringeView.of(eye.camera, eye.projector, self.poses[own, 3:], turns[own])
             out.lens[mine], out.slide[mine, : len(seen.slide)] = seen.lens, seen.slide
             out.cameras[mine], out.projectors[mine] = seen.cameras, seen.projectors
             out.eyes[mine], out.drift[mine] = seen.eyes, seen.drift
@@ -200,7 +200,7 @@ class Freedom:
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
+class PointLooks:
     """Some points in every frame as `look_around` sees them: (N, P), and seen (N, P, 3)."""
 
     grey: FloatArray
@@ -210,15 +210,15 @@ class Looks:
     seen: FloatArray
 
     @staticmethod
-    def of(head: Head, images: Float32Array, x: FloatArray, normal: FloatArray) -> "Looks":
+    def of(head: PlacedHead, images: Float32Array, x: FloatArray, normal: FloatArray) -> "PointLooks":
         shape = (len(head.eye), len(x))
-        one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
+        one = PointLooks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
         x, normal = np.ascontiguousarray(x), np.ascontiguousarray(normal)
         look_around(head.view.frames(images), x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
         return one
 
 
-def shading_terms(head: Head, seen: FloatArray) -> FloatArray:
+def shading_terms(head: PlacedHead, seen: FloatArray) -> FloatArray:
     """(N, P, 3) mm in the head's frame -> (N, P, TERMS)."""
     extent = head.shading[head.eye, 0, :2]
     t = (seen[..., 2] - extent[:, :1]) / extent[:, 1:]
@@ -228,7 +228,7 @@ def shading_terms(head: Head, seen: FloatArray) -> FloatArray:
     return np.asarray((powers[..., :, None] * around[..., None, :]).reshape(*t.shape, TERMS))
 
 
-def shaded(head: Head, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+def shaded(head: PlacedHead, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, P, TERMS) -> (N, P) gain of each frame's light, and of its modulation."""
     gain, depth = (np.exp(np.einsum("npt,nt->np", rows, head.shading[head.eye, k])) for k in (1, 2))
     return gain, depth
@@ -252,7 +252,7 @@ def changed(projector: FringeProjector, step: FloatArray) -> FringeProjector:
 
 
 def refined(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     points: Points,
     freedom: Freedom,
@@ -260,7 +260,7 @@ def refined(
     found: Heights | None = None,
     texture: FloatArray | None = None,
     along: tuple[FloatArray, FloatArray] | None = None,
-) -> tuple[Head, FloatArray]:
+) -> tuple[PlacedHead, FloatArray]:
     """One Gauss-Newton step, and the covariance (K, K) of poses, shading (gain, depth), blur, radius, law, harmonics.
 
     found : what `follow_wall` said of the points with this head. None: a clean pipe, whose heights are 0 and whose
@@ -304,7 +304,7 @@ def refined(
 
 
 def _equations(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     points: Points,
     freedom: Freedom,
@@ -318,7 +318,7 @@ def _equations(
     frames, count = len(head.eye), len(points.base)
     view = head.view
     x = points.at(found[0] if found is not None else np.zeros(count))
-    here = Looks.of(head, images, x, points.normal)
+    here = PointLooks.of(head, images, x, points.normal)
     rows = shading_terms(head, here.seen)
     phase = here.phase + head.blur_squared * slope * here.pull
     w = view.wave(phase)
@@ -382,7 +382,7 @@ def _equations(
     return _normal(rest, poses, common, columns, root, off, freedom, head)
 
 
-def _moves(head: Head, x: FloatArray) -> FloatArray:
+def _moves(head: PlacedHead, x: FloatArray) -> FloatArray:
     """(F, P, POSE, 3): how far what the head sees at points x goes, mm, per unit of each number of a pose."""
     out = np.zeros((len(head.poses), len(x), POSE, 3))
     out[..., 3:, :] = np.eye(3)
@@ -396,7 +396,7 @@ def _moves(head: Head, x: FloatArray) -> FloatArray:
     return out
 
 
-def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _prior(head: PlacedHead, freedom: Freedom, common: int, free: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
     """(K, K) what was believed before, as weights; (K,) how it pulls; (K,) bool, what is known and stays."""
     frames = len(head.poses)
     size = frames * POSE
@@ -439,7 +439,7 @@ def _normal(
     root: FloatArray,
     off: FloatArray | None,
     freedom: Freedom,
-    head: Head,
+    head: PlacedHead,
 ) -> tuple[FloatArray, FloatArray]:
     """Normal equations of poses and common numbers, what is a point's own projected out."""
     frames, count = rest.shape

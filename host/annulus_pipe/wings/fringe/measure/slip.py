@@ -16,7 +16,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.wings.fringe.measure.heights import Heights, Points
-from annulus_pipe.wings.fringe.measure.placement import Freedom, Head, refined
+from annulus_pipe.wings.fringe.measure.placement import Freedom, PlacedHead, refined
 from annulus_pipe.wings.fringe.measure.track import GOOD, ROBUST_FROM
 
 CLEAR = 5.0  # sigma by which a slope must stand out: what noise adds to its square is then 4 %
@@ -31,7 +31,7 @@ ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class FlashSlips:
     """(F,) mm along the pipe: how much farther each flash was than told, by the frames, its sigma, infinite where they
     do not say; slipped : where that is beyond chance."""
 
@@ -41,7 +41,7 @@ class Places:
 
 
 def find_places(
-    head: Head,
+    head: PlacedHead,
     images: Float32Array,
     points: Points,
     found: Heights,
@@ -49,8 +49,8 @@ def find_places(
     freedom: Freedom,
     noise: tuple[float, float, float],
     step_mm: float,
-    follow: Callable[[Head, Points, FloatArray, FloatArray], Heights],
-) -> Places:
+    follow: Callable[[PlacedHead, Points, FloatArray, FloatArray], Heights],
+) -> FlashSlips:
     """points : the grid that `found` and texture (P,) are of. freedom : of the poses, with the places as told. follow :
     what the points are by another head, from their heights and textures."""
     flashes = len(head.poses)
@@ -58,7 +58,7 @@ def find_places(
     usable = np.isfinite(light + form) & (found.flag == GOOD) & (found.used >= ROBUST_FROM)
     strength = np.where(usable, np.abs(np.nan_to_num(light)) + np.abs(np.nan_to_num(form)) / step_mm, 0.0)
     which = np.sort(np.argsort(-strength)[: min(POINTS_MAX, int((strength > 0).sum()))])
-    nothing = Places(np.zeros(flashes), np.full(flashes, np.inf), np.zeros(flashes, bool))
+    nothing = FlashSlips(np.zeros(flashes), np.full(flashes, np.inf), np.zeros(flashes, bool))
     if len(which) < POINTS_MIN:
         return nothing
     some, slope = points.some(which), texture[which]
@@ -79,7 +79,7 @@ def find_places(
     sure = sigma < 0.5 * believed  # else it is what was believed before
     sigma = np.hypot(sigma, OWN_SIGMA * head.radius_mm)
     beyond = sure & (np.abs(off) > np.maximum(SAID * sigma, LEAST * head.radius_mm))
-    return Places(np.where(sure, off, 0.0), np.where(sure, sigma, np.inf), beyond)
+    return FlashSlips(np.where(sure, off, 0.0), np.where(sure, sigma, np.inf), beyond)
 
 
 def _slopes(

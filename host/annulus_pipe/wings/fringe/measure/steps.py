@@ -19,7 +19,7 @@ from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure.heights import Heights, Points, View, heights
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points, heights
 from annulus_pipe.wings.fringe.measure.noise import noise_of
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 from annulus_pipe.wings.fringe.measure.stretch import stretch
@@ -90,12 +90,12 @@ def find_steps(
     covariance = np.zeros((len(reported), len(reported)))
     ahead = EPSILON * float(np.ptp(reported)) / (len(reported) - 1)
     for turn in range(ROUNDS):
-        view = View.of(one, projector, place[:, None] * direction)
+        view = FringeView.of(one, projector, place[:, None] * direction)
         found = heights(view, samples, some, h, noise=noise, drift_sigma=drift_sigma)
         if turn == 0:
             noise = noise_of(found)
             found = heights(view, samples, some, h, noise=noise, drift_sigma=drift_sigma)
-        beyond = View.of(one, projector, (place + ahead)[:, None] * direction)
+        beyond = FringeView.of(one, projector, (place + ahead)[:, None] * direction)
         matrix, pull = _equations(view, beyond, ahead, samples, some, found, noise, drift_sigma > 0)
         covariance = np.asarray(np.linalg.inv(matrix + prior))
         step = covariance @ (pull + prior @ (reported - place))
@@ -113,7 +113,7 @@ def find_steps(
     slipped = np.abs(place - scale * reported) > SAID * both
     if drift_sigma > 0:
         place = place / scale
-        view = View.of(one, projector, place[:, None] * direction)
+        view = FringeView.of(one, projector, place[:, None] * direction)
         scale, own = stretch(view, samples, some, found.height_mm, place, direction)
         if abs(scale - 1) > SAID * own:
             place, sigma = place * scale, np.hypot(sigma, place * own)
@@ -124,8 +124,8 @@ def find_steps(
 
 
 def _equations(
-    view: View,
-    beyond: View,
+    view: FringeView,
+    beyond: FringeView,
     ahead: float,
     images: Float32Array,
     points: Points,
@@ -191,7 +191,7 @@ def _texture(change: FloatArray, lit: FloatArray, nuisances: list[FloatArray]) -
 
 
 def _residual(
-    view: View, images: Float32Array, points: Points, h: FloatArray, dc: FloatArray, ac: FloatArray
+    view: FringeView, images: Float32Array, points: Points, h: FloatArray, dc: FloatArray, ac: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, P) grey levels less the fit, the wave's value."""
     x = points.at(h)

@@ -22,7 +22,7 @@ from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure.heights import Heights, Points, View
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 from annulus_pipe.wings.fringe.measure.track import (
     AMBIGUOUS,
@@ -50,7 +50,7 @@ WINDOW = 0.5  # of a half period: farther from the rough height than that is ano
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _CameraPhase:
     """A camera's own phase along tracks: off the nominal one (P,) rad, its variance, DC, AC, misfit, frames used."""
 
     off: FloatArray
@@ -77,7 +77,7 @@ def stereo_heights(
     bounds_mm : between which heights the wall lies, for the matcher. Flag AMBIGUOUS where it finds none, or where the
     phases agree too far from what it found.
     """
-    views = (View.of(pair[0], projector, moved_mm), View.of(pair[1], projector, moved_mm))
+    views = (FringeView.of(pair[0], projector, moved_mm), FringeView.of(pair[1], projector, moved_mm))
     rough = rough_heights(pair, projector, moved_mm, images, points, bounds_mm)
     blocks = [np.arange(k, min(k + BLOCK, len(rough))) for k in range(0, len(rough), BLOCK)]
     agreed = [_agreed(views, images, points.some(some), rough[some], noise, drift_sigma) for some in blocks]
@@ -108,7 +108,7 @@ def slide_seen(
         )
     some, h = points.some(which), rough[which]
     for _ in range(2):
-        view = View.of(pair[0], projector, moved_mm)
+        view = FringeView.of(pair[0], projector, moved_mm)
         off = _phase(view, images[0], some, h, (1.0, 0.0, 0.0), 0.0, robust=False).off
         x = some.at(h)
         ahead = np.mean([view.phase(x, n) for n in range(len(moved_mm))], axis=0) - projector.phase0
@@ -127,7 +127,7 @@ def slide_seen(
 
 
 def _agreed(
-    views: tuple[View, View],
+    views: tuple[FringeView, FringeView],
     images: tuple[Float32Array, Float32Array],
     points: Points,
     rough: FloatArray,
@@ -173,7 +173,7 @@ def rough_heights(
     if not high > low:
         raise AnnulusError(f"heights between {low:g} and {high:g} mm: the lower comes first")
     middle = len(moved_mm) // 2
-    views = [View.of(one, projector, moved_mm) for one in pair]
+    views = [FringeView.of(one, projector, moved_mm) for one in pair]
     eyes = [view.eyes[middle] for view in views]
     base = float(np.linalg.norm(eyes[1] - eyes[0]))
     if not base > 0:
@@ -233,7 +233,7 @@ def rough_heights(
 
 
 def _phase(
-    view: View,
+    view: FringeView,
     images: Float32Array,
     points: Points,
     h: FloatArray,
@@ -241,7 +241,7 @@ def _phase(
     drift_sigma: float,
     *,
     robust: bool,
-) -> _Seen:
+) -> _CameraPhase:
     """Least squares along each point's track: Eq. 6.9 to 6.14 with its own steps, in light that may drift."""
     x = points.at(h)
     value, phase = np.empty((len(images), len(x))), np.empty((len(images), len(x)))
@@ -273,7 +273,7 @@ def _phase(
         empty = used < 3
     off = np.arctan2(odd, even)  # Eq. 6.14
     off, variance, dc, ac, misfit = (np.where(empty, np.nan, one) for one in (off, variance, dc, ac, misfit))
-    return _Seen(off, variance, dc, ac, misfit, used)
+    return _CameraPhase(off, variance, dc, ac, misfit, used)
 
 
 def _solve(

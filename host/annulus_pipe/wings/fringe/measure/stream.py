@@ -14,7 +14,7 @@ import numpy as np
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.wings.fringe.measure.heights import Heights, Points, View, heights, spline
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points, heights, spline
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 from annulus_pipe.wings.fringe.measure.track import TOO_FEW
 
@@ -88,5 +88,5 @@ def _finish(
         none = np.full(len(points.base), np.nan)
         used, flag = np.full_like(none, float(len(mine))), np.full_like(none, float(TOO_FEW))
         return Heights(none, none, none, none, none, used, flag, np.empty((0, 0), np.float32))
-    view = View.of(one, projector, np.array([place for _, place in mine]))
+    view = FringeView.of(one, projector, np.array([place for _, place in mine]))
     return heights(view, np.stack([image for image, _ in mine]), points, noise=noise, drift_sigma=drift_sigma)

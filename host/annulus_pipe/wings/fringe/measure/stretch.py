@@ -19,7 +19,7 @@ from scipy.fft import fftfreq, irfft2, rfft2, rfftfreq
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.robust import CAUCHY, cauchy, robust_sigma
-from annulus_pipe.wings.fringe.measure.heights import Points, View
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Points
 
 SPLINE = np.array([[1.0], [4.0], [1.0]], np.float32) / 6  # a cubic spline's coefficients to its values
 EVEN = 0.02  # share by which the picture's pixels per mm may differ
@@ -33,7 +33,12 @@ PULL = 0.004  # of the motion: measured, see above
 
 
 def stretch(
-    view: View, images: Float32Array, points: Points, height_mm: FloatArray, place_mm: FloatArray, direction: FloatArray
+    view: FringeView,
+    images: Float32Array,
+    points: Points,
+    height_mm: FloatArray,
+    place_mm: FloatArray,
+    direction: FloatArray,
 ) -> tuple[float, float]:
     """(true motion over the told one, its sigma); sigma infinite where the pictures do not tell it.
 

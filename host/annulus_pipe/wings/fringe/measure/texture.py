@@ -17,14 +17,14 @@ from scipy.ndimage import uniform_filter
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.robust import CAUCHY, cauchy, robust_sigma
-from annulus_pipe.wings.fringe.measure.heights import Heights, Points, View
+from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points
 
 WINDOW = 9  # points: what is smoother than that may be the wall's own shape
 ROUNDS = 5
 POINTS_MIN = 400  # for a blur known to about a tenth
 
 
-def untextured(view: View, points: Points, found: Heights) -> tuple[Heights, float]:
+def untextured(view: FringeView, points: Points, found: Heights) -> tuple[Heights, float]:
     """The heights with the texture's share taken out, and the blur found, mm (sigma, on the wall).
 
     Points of a grid at least WINDOW wide each way; others, and a wall without texture, come back as they are, and 0.
@@ -52,7 +52,7 @@ def untextured(view: View, points: Points, found: Heights) -> tuple[Heights, flo
     return replace(found, height_mm=found.height_mm - share), float(np.sqrt(square))
 
 
-def _slope(view: View, points: Points, found: Heights) -> FloatArray:
+def _slope(view: FringeView, points: Points, found: Heights) -> FloatArray:
     """(P,) grad A . grad phase / A along the wall, rad / mm^2, in the middle frame; the wall taken as it is without
     heights."""
     shape = points.shape

@@ -210,7 +210,7 @@ def lit_along(slide, projector, x, y, z, way):  # type: ignore[no-untyped-def]
     )
 
 
-class Frames(NamedTuple):
+class TrackFrames(NamedTuple):
     """N frames of one eye, as `follow` takes them."""
 
     images: Float32Array  # (N, H, W) coefficients of splines, or (0, 0, 0) where there are samples
@@ -250,7 +250,7 @@ class Outcome(NamedTuple):
 
 @jit
 def follow(frames, tracks, drift_sigma, noise, tolerance, outcome, residual):  # type: ignore[no-untyped-def]
-    """Every point's height: `Frames` and `Tracks` in, `Outcome` out.
+    """Every point's height: `TrackFrames` and `Tracks` in, `Outcome` out.
 
     drift_sigma : what is believed of g, 0 for none. noise : (3,) variance of a grey level I is noise . (1, I, I^2).
     tolerance : of h, where rounds end. residual : (N, P) grey levels, written, or (0, 0).

@@ -24,7 +24,7 @@ ROUND = 0.1  # of the radius: so far may its surface be from a circle, rms
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class VolumeAxis:
     """A line: where it crosses the volume's z = 0, mm from the first voxel's centre, and how it leans, mm a mm."""
 
     x_mm: float
@@ -106,7 +106,7 @@ def circle_of(image: Float32Array, pixel: tuple[float, float], level: float) -> 
     return x, y, radius
 
 
-def fit_axis(centres: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: float) -> Axis:
+def fit_axis(centres: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: float) -> VolumeAxis:
     """The line through the plain slices' centres, and its step at the joint.
 
     centres : (N, 2) mm, NaN where no pipe was found; plain : (N,) away from the joint.
@@ -127,4 +127,4 @@ def fit_axis(centres: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: 
             weight = use * biweight(residual / (TUKEY * max(robust_sigma(residual[use]), 1e-3)))
         fits.append(fit)
     step = (float(fits[0][2]), float(fits[1][2])) if both else (0.0, 0.0)
-    return Axis(float(fits[0][0]), float(fits[1][0]), float(fits[0][1]), float(fits[1][1]), step)
+    return VolumeAxis(float(fits[0][0]), float(fits[1][0]), float(fits[0][1]), float(fits[1][1]), step)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.joints.measure.axis import Axis, circle_of, fit_axis
+from annulus_pipe.wings.joints.measure.axis import VolumeAxis, circle_of, fit_axis
 from annulus_pipe.wings.joints.measure.unwrap import Volume
 
 LOOKS = 64
@@ -21,12 +21,12 @@ CONTRAST_MIN = 3.0  # of plastic over air, in standard deviations of air
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundJoint:
     """Greys of air and plastic, the axis, and the pipe's mean outer radius and wall; the joint along the axis, mm."""
 
     air: float
     plastic: float
-    axis: Axis
+    axis: VolumeAxis
     radius_mm: float
     wall_mm: float
     joint_mm: float
@@ -55,7 +55,7 @@ def two_greys(sample: np.ndarray) -> tuple[float, float]:
     return air, plastic
 
 
-def find(volume: Volume, progress: Callable[[str, int, int], None] = lambda what, done, total: None) -> Found:
+def find(volume: Volume, progress: Callable[[str, int, int], None] = lambda what, done, total: None) -> FoundJoint:
     """Raises AnnulusError where there is no hollow cylinder whole in the slices, or no joint in it."""
     count, rows, columns = volume.shape
     if count < 16 or min(rows, columns) < 32:
@@ -98,4 +98,4 @@ def find(volume: Volume, progress: Callable[[str, int, int], None] = lambda what
     if hollow <= 0 or not 0.02 < 1 - math.sqrt(hollow) / radius < 0.6:
         raise AnnulusError("no pipe in the volume: its section is no ring with a wall of 2 to 60 % of the radius")
     stretch = math.sqrt(1 + axis.lean_x**2 + axis.lean_y**2)
-    return Found(air, plastic, axis, radius, radius - math.sqrt(hollow), joint * stretch)
+    return FoundJoint(air, plastic, axis, radius, radius - math.sqrt(hollow), joint * stretch)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.density import air_level, density_map, relative_density, wall_samples
-from annulus_pipe.wings.joints.measure.find import Found, find
+from annulus_pipe.wings.joints.measure.find import FoundJoint, find
 from annulus_pipe.wings.joints.measure.flaws import Flaw, flaws_of
 from annulus_pipe.wings.joints.measure.surface import (
     SMOOTH_MM,
@@ -59,7 +59,7 @@ class Parts:
 class JointImage:
     """All that a volume says of its joint. Lengths in mm, z along the axis, angles from the volume's x to its y."""
 
-    found: Found
+    found: FoundJoint
     phi: FloatArray  # (P,) rad
     z_mm: FloatArray  # (Z,)
     outer: FloatArray  # (Z, P) surface, bead included
@@ -217,7 +217,7 @@ def fusion_plane(outside: Bead, inside: Bead, joint: float) -> FloatArray:
 
 def _wall(
     volume: Volume,
-    found: Found,
+    found: FoundJoint,
     z_mm: FloatArray,
     phi: FloatArray,
     rho: FloatArray,

@@ -76,7 +76,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedRaster:
     """Where a raster lies: phi = sense angle + shift; z = joint + along (z of raster - raster_joint_mm).
 
     sense, along : 1, -1, or 0 where geometry does not decide (shift and maps are then those of the best). accepted :
@@ -141,14 +141,14 @@ class Placed:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _RasterPlace:
     shift: float  # of the raster's first angle
     z: float  # of the raster, where the joint lies
     round_mm: float
     along_mm: float
 
 
-class _Fit:
+class _RasterFit:
     """A raster, turned to one sense of angle and of z, against the CT's maps."""
 
     def __init__(self, raster: Raster, surface: Surface, sense: int, along: int) -> None:
@@ -173,7 +173,7 @@ class _Fit:
             return None
         return seen, below | above
 
-    def at(self, place: _Place, rows: tuple[BoolArray, BoolArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, place: _RasterPlace, rows: tuple[BoolArray, BoolArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(2, R, n) blurred bead and density less plain wall, (c, R, n) the raster so, (c, n) plain wall's lift."""
         seen, straight = rows[0], rows[1][rows[0]]
         t = (self.along * (self.z - place.z))[seen]
@@ -190,7 +190,7 @@ class _Fit:
         lift = (fit @ self.values[:, seen][:, straight])[:, 0]
         return np.fft.irfft(waves, self.n, axis=2), values, lift - lift.mean(axis=1, keepdims=True)
 
-    def left(self, place: _Place, rows: tuple[BoolArray, BoolArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def left(self, place: _RasterPlace, rows: tuple[BoolArray, BoolArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(c, R, n) what the CT does not explain, (c, 3) gains, (c, R, n) the raster."""
         maps, values, lift = self.at(place, rows)
         gains = np.empty((len(values), 3))
@@ -201,7 +201,7 @@ class _Fit:
             residual[c] = data - (gains[c] @ columns).reshape(data.shape)
         return residual, gains, values
 
-    def cost(self, place: _Place, rows: tuple[BoolArray, BoolArray]) -> float:
+    def cost(self, place: _RasterPlace, rows: tuple[BoolArray, BoolArray]) -> float:
         """Log of the mean square left, a channel."""
         return float(np.mean(np.log(np.mean(self.left(place, rows)[0] ** 2, axis=(1, 2)) + 1e-12)))
 
@@ -230,14 +230,14 @@ def _all_round(maps: FloatArray, values: FloatArray, lift: FloatArray) -> FloatA
     return np.asarray(np.maximum(total - explained, 1e-12 * total) / (values.shape[-1] * values.shape[-2]))
 
 
-def place(raster: Raster, surface: Surface, seed: int = 0) -> Placed:
+def place(raster: Raster, surface: Surface, seed: int = 0) -> PlacedRaster:
     """Where the raster lies on the CT's maps, whether it may be believed, and what is left of it there.
 
     Raises AnnulusError where there is not plain wall on both sides of a joint as wide as the CT's.
     """
-    best: dict[tuple[int, int], tuple[float, _Place, _Fit, tuple[BoolArray, BoolArray]]] = {}
+    best: dict[tuple[int, int], tuple[float, _RasterPlace, _RasterFit, tuple[BoolArray, BoolArray]]] = {}
     for sense, along in product((1, -1), (1, -1)):
-        fit = _Fit(raster, surface, sense, along)
+        fit = _RasterFit(raster, surface, sense, along)
         best[sense, along] = _refined(fit, _begin(fit))
     (sense, along), (cost, found, fit, rows) = min(best.items(), key=lambda item: item[1][0])
     residual, gains, values = fit.left(found, rows)
@@ -267,7 +267,7 @@ def place(raster: Raster, surface: Surface, seed: int = 0) -> Placed:
         for key, one in best.items()
         if 0 < worse[key] < ODDS
     )
-    return Placed(
+    return PlacedRaster(
         accepted=not why,
         why="; ".join(why),
         shift=shift,
@@ -296,11 +296,11 @@ def at_joint(values: FloatArray, z_mm: FloatArray, fusion_mm: FloatArray, half_m
     return np.asarray(np.where(near.any(axis=0), total / np.maximum(near.sum(axis=0), 1), np.nan))
 
 
-def _begin(fit: _Fit) -> _Place:
+def _begin(fit: _RasterFit) -> _RasterPlace:
     """The best of all whole steps of angle, and of places a millimetre apart along the pipe."""
     best, place = math.inf, None
     for z in np.arange(fit.z[0], fit.z[-1], Z_STEP_MM):
-        one = _Place(0.0, float(z), BLUR_MM, BLUR_MM)
+        one = _RasterPlace(0.0, float(z), BLUR_MM, BLUR_MM)
         rows = fit.rows(one.z, BLUR_MM)
         if rows is None:
             continue
@@ -309,7 +309,7 @@ def _begin(fit: _Fit) -> _Place:
         left = np.stack([_all_round(maps, v, o) for v, o in zip(values, lift, strict=True)])
         cost = np.log(left / total[:, None]).mean(axis=0)
         if (least := float(cost.min())) < best:
-            best, place = least, _Place(float(np.argmin(cost)) * 2 * math.pi / fit.n, one.z, BLUR_MM, BLUR_MM)
+            best, place = least, _RasterPlace(float(np.argmin(cost)) * 2 * math.pi / fit.n, one.z, BLUR_MM, BLUR_MM)
     if place is None:
         wide, blur = fit.feet[1] - fit.feet[0], 2 * CLEAR * BLUR_MM
         raise AnnulusError(
@@ -320,18 +320,20 @@ def _begin(fit: _Fit) -> _Place:
     return place
 
 
-def _vector(place: _Place) -> FloatArray:
+def _vector(place: _RasterPlace) -> FloatArray:
     return np.array([place.shift, place.z, math.log(place.round_mm), math.log(place.along_mm)])
 
 
-def _place(x: FloatArray) -> _Place:
+def _place(x: FloatArray) -> _RasterPlace:
     low, high = np.log(BLUR_RANGE_MM)
     along = np.clip(x[3], low, high)
     around = np.clip(x[2], along - math.log(OBLONG), along + math.log(OBLONG))
-    return _Place(float(x[0]), float(x[1]), math.exp(around), math.exp(along))
+    return _RasterPlace(float(x[0]), float(x[1]), math.exp(around), math.exp(along))
 
 
-def _refined(fit: _Fit, begin: _Place) -> tuple[float, _Place, _Fit, tuple[BoolArray, BoolArray]]:
+def _refined(
+    fit: _RasterFit, begin: _RasterPlace
+) -> tuple[float, _RasterPlace, _RasterFit, tuple[BoolArray, BoolArray]]:
     """Rows stay as they are while the place moves, so that what is compared is the same."""
     rows = fit.rows(begin.z, BLUR_MM)
     assert rows is not None
@@ -363,7 +365,7 @@ def _independent(residual: FloatArray) -> float:
     return max(float(count), 4.0)
 
 
-def _covariance(fit: _Fit, place: _Place, rows: tuple[BoolArray, BoolArray], samples: float) -> FloatArray:
+def _covariance(fit: _RasterFit, place: _RasterPlace, rows: tuple[BoolArray, BoolArray], samples: float) -> FloatArray:
     """(4, 4) of shift, z and the logs of both blurs, from how the cost bends. Where it does not, the free range."""
     x = _vector(place)
     step = np.array([math.pi / fit.n, 0.2, 0.1, 0.1])
@@ -420,8 +422,8 @@ def _noise(values: FloatArray) -> float:
 def _laid(
     raster: Raster,
     surface: Surface,
-    fit: _Fit,
-    place: _Place,
+    fit: _RasterFit,
+    place: _RasterPlace,
     rows: tuple[BoolArray, BoolArray],
     gains: FloatArray,
     sense: int,

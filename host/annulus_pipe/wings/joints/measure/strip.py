@@ -17,7 +17,7 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.jit import jit
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.joints.measure.axis import Axis, fit_axis
+from annulus_pipe.wings.joints.measure.axis import VolumeAxis, fit_axis
 from annulus_pipe.wings.joints.measure.density import air_level, density_map, relative_density, wall_samples
 from annulus_pipe.wings.joints.measure.find import two_greys
 from annulus_pipe.wings.joints.measure.image import (
@@ -82,7 +82,7 @@ class StripImage:
 class _Pose:
     """Where a strip lies: the line through its middle, the angle of its faces' normal, rad, and its size, mm."""
 
-    axis: Axis
+    axis: VolumeAxis
     normal: float
     thickness: float
     width: float

@@ -11,7 +11,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.numeric.jit import jit
-from annulus_pipe.wings.joints.measure.axis import Axis
+from annulus_pipe.wings.joints.measure.axis import VolumeAxis
 
 PLANES_AT_ONCE = 16
 VOXELS_AT_ONCE = 1 << 26  # of slices held: 256 MB of float32
@@ -84,7 +84,7 @@ def _sample(slab, first, voxel, origin, across, down, along, cos, sin, rho, z, o
 
 
 def planes(
-    volume: Volume, axis: Axis, z_mm: FloatArray, phi: FloatArray, rho_mm: FloatArray
+    volume: Volume, axis: VolumeAxis, z_mm: FloatArray, phi: FloatArray, rho_mm: FloatArray
 ) -> Iterator[tuple[int, Float32Array]]:
     """The volume plane by plane, a few at a time: index of the first, and (planes, phi, rho) grey values.
 

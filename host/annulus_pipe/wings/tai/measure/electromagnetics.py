@@ -80,7 +80,7 @@ def slab_loss(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Field:
+class MicrowaveField:
     """E_z, V/m rms, on nodes [y, x]; the wave travels towards +y, the guide's mouth lies at y = 0."""
 
     e_v_m: NDArray[np.complex128]
@@ -120,7 +120,7 @@ def open_waveguide(
     frequency_hz: float = FREQUENCY_HZ,
     guide_mm: tuple[float, float] = WR340_MM,
     fill: Dielectric = AIR,
-) -> Field:
+) -> MicrowaveField:
     """Field of an open-ended rectangular guide in front of `permittivity`, the fundamental mode bringing `power_w`.
 
     Parameters
@@ -157,7 +157,7 @@ def open_waveguide(
     back = (amplitude - came) * np.exp(-1j * beta * (0.0 - y_mm[look]) * 1e-3)
     arrived = strength * np.exp(-1j * beta * (0.0 - y_mm[row]) * 1e-3)
     loss = -omega * EPS0 * permittivity.imag * np.abs(field) ** 2
-    return Field(field, loss, x_mm, y_mm, complex(back / arrived))
+    return MicrowaveField(field, loss, x_mm, y_mm, complex(back / arrived))
 
 
 def nodes(

@@ -32,7 +32,7 @@ TAPER = 12.0  # how their weight falls: Kaiser's beta
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class SoundGrid:
     """`shape` cells (ny, nx) of `dx_mm`, the absorbing layer of PML_CELLS at every side included."""
 
     shape: tuple[int, int]
@@ -70,7 +70,7 @@ class Medium:
         return float(np.max(self.sound_speed_m_s))
 
 
-def time_step_s(grid: Grid, medium: Medium, courant: float = COURANT) -> float:
+def time_step_s(grid: SoundGrid, medium: Medium, courant: float = COURANT) -> float:
     return courant * grid.dx_mm * 1e-3 / medium.fastest()
 
 
@@ -86,7 +86,7 @@ class Solver:
     """
 
     def __init__(
-        self, grid: Grid, medium: Medium, dt_s: float | None = None, dtype: type[np.floating] = np.float32
+        self, grid: SoundGrid, medium: Medium, dt_s: float | None = None, dtype: type[np.floating] = np.float32
     ) -> None:
         self.grid, self.medium = grid, medium
         self.dt_s = time_step_s(grid, medium) if dt_s is None else dt_s
@@ -262,7 +262,7 @@ class _Run:
         part += spread
 
 
-def receivers(grid: Grid, points_mm: FloatArray) -> scipy.sparse.csr_array:
+def receivers(grid: SoundGrid, points_mm: FloatArray) -> scipy.sparse.csr_array:
     """Point receivers anywhere between the cells -> (receivers, cells) weights.
 
     points_mm : (R, 2) x, y; or (R, Q, 2): a face, as Q points whose mean it hears (Eq. 7.20).
@@ -296,7 +296,7 @@ def receivers(grid: Grid, points_mm: FloatArray) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array((weight.ravel(), (rows.ravel(), cell.ravel())), shape=(len(faces), size))
 
 
-def rim(grid: Grid, radius_mm: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def rim(grid: SoundGrid, radius_mm: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The closed ring of cells at `radius_mm` about the centre: flat indices and angles (radians, from +x to +y)."""
     y, x = np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")
     if radius_mm > min(grid.reach_mm):

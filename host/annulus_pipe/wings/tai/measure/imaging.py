@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
+from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers, rim, time_step_s
 from annulus_pipe.wings.tai.measure.sweep import Sweep, gaps_deg
 
 # Guards: topic imaging, and of tests/wings/tai/test_imaging.py what is named.
@@ -29,7 +29,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Image:
+class AcousticImage:
     """`values` [y, x] in the unit of the signals; NaN outside the circle of receivers."""
 
     values: NDArray[np.float32]
@@ -98,7 +98,7 @@ def time_reversal(
     refinements: int = 0,
     nonnegative: bool = False,
     progress: Progress | None = None,
-) -> Image:
+) -> AcousticImage:
     """Initial pressure by re-emission from the full circle, missing positions interpolated (Alzuhiri 2022, §8.3).
 
     Parameters
@@ -121,7 +121,7 @@ def time_reversal(
             f"expected at least {_least_pixel(sweep):.3g} mm"
         )
     side = scipy.fft.next_fast_len(math.ceil(2 * sweep.radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
-    grid, medium = Grid((side, side), dx), Medium(sweep.sound_speed_m_s)
+    grid, medium = SoundGrid((side, side), dx), Medium(sweep.sound_speed_m_s)
     solver = Solver(grid, medium, time_step_s(grid, medium))
     steps = math.ceil(TAIL * 2 * sweep.radius_mm * 1e-3 / sweep.sound_speed_m_s / solver.dt_s) + 1
     heard = _resampled(sweep, solver.dt_s, steps)
@@ -158,12 +158,14 @@ def time_reversal(
     name = "time reversal" + (f", {len(misfit)} refinements" if misfit else "")
     part = Region.about_axis(sweep.radius_mm) if region is None else region
     return _cropped(
-        Image(np.where(inside, estimate, np.nan), grid.x_mm, grid.y_mm, name, sweep.sound_speed_m_s, tuple(misfit)),
+        AcousticImage(
+            np.where(inside, estimate, np.nan), grid.x_mm, grid.y_mm, name, sweep.sound_speed_m_s, tuple(misfit)
+        ),
         part,
     )
 
 
-def back_projection(sweep: Sweep, *, pixel: float | None = None, region: Region | None = None) -> Image:
+def back_projection(sweep: Sweep, *, pixel: float | None = None, region: Region | None = None) -> AcousticImage:
     """A quick look: universal back-projection, b = 2 (p - t dp/dt) (Xu and Wang, Phys. Rev. E 71, 2005).
 
     Each position counts with the arc that it stands for. Only `region` is worked out; default the whole circle.
@@ -181,7 +183,7 @@ def back_projection(sweep: Sweep, *, pixel: float | None = None, region: Region 
         total += arc * np.interp(way, times, trace, left=0.0, right=0.0)
     values = np.full(x.shape, np.nan, np.float32)
     values[inside] = total / weights.sum()
-    return Image(values, *part.axes_mm(dx), "universal back-projection", sweep.sound_speed_m_s)
+    return AcousticImage(values, *part.axes_mm(dx), "universal back-projection", sweep.sound_speed_m_s)
 
 
 def source_term(sweep: Sweep) -> NDArray[np.float64]:
@@ -244,7 +246,7 @@ def arcs(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     return arcs
 
 
-def _cropped(image: Image, part: Region) -> Image:
+def _cropped(image: AcousticImage, part: Region) -> AcousticImage:
     columns = np.flatnonzero((image.x_mm >= part.x0_mm) & (image.x_mm <= part.x1_mm))
     rows = np.flatnonzero((image.y_mm >= part.y0_mm) & (image.y_mm <= part.y1_mm))
     values = image.values[np.ix_(rows, columns)].astype(np.float32)

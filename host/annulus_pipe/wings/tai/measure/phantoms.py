@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.tai.measure.field import Grid
+from annulus_pipe.wings.tai.measure.field import SoundGrid
 
 FINE = 4  # sub-cells each way where an edge crosses. Unguarded by itself; topic imaging draws its truth with it
 
@@ -58,7 +58,7 @@ def phantom(name: str) -> tuple[Part, ...]:
     return PHANTOMS[name]
 
 
-def draw(parts: tuple[Part, ...], grid: Grid, shift_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+def draw(parts: tuple[Part, ...], grid: SoundGrid, shift_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
     """(ny, nx) mean of each cell; the grid's centre stands at `shift_mm` of the sample."""
     sub = ((np.arange(FINE) + 0.5) / FINE - 0.5) * grid.dx_mm
     total = np.zeros(grid.shape)

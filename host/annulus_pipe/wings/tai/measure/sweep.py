@@ -78,7 +78,7 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SweepFault:
     """Something wrong with positions of a sweep. `excluded`: they must not reach the image."""
 
     kind: str  # "not a number", "clipped", "silent", "same place", "timing"
@@ -87,7 +87,7 @@ class Fault:
     excluded: bool
 
 
-def examine(sweep: Sweep) -> list[Fault]:
+def examine(sweep: Sweep) -> list[SweepFault]:
     """Everything about a sweep that would make a wrong image. Names positions from 0.
 
     Raises nothing: who calls decides. Traces with `excluded` faults must be left out (`usable`).
@@ -118,11 +118,11 @@ def examine(sweep: Sweep) -> list[Fault]:
         faults.append(_fault("same place", stuck, text, True))
     shifted = _shifted(sweep, good & ~stuck)
     if shifted is not None:
-        faults.append(Fault("timing", (), shifted, False))
+        faults.append(SweepFault("timing", (), shifted, False))
     return faults
 
 
-def usable(sweep: Sweep, faults: Sequence[Fault]) -> NDArray[np.bool_]:
+def usable(sweep: Sweep, faults: Sequence[SweepFault]) -> NDArray[np.bool_]:
     """(positions,) True where no fault excludes the trace."""
     kept = np.ones(len(sweep.signals), bool)
     for fault in faults:
@@ -251,7 +251,7 @@ def _shifted(sweep: Sweep, good: NDArray[np.bool_]) -> str | None:
     return None
 
 
-def _fault(kind: str, where: NDArray[np.bool_], text: str, excluded: bool) -> Fault:
+def _fault(kind: str, where: NDArray[np.bool_], text: str, excluded: bool) -> SweepFault:
     positions = tuple(int(i) for i in np.flatnonzero(where))
     shown = ", ".join(map(str, positions[:8])) + (" .." if len(positions) > 8 else "")
-    return Fault(kind, positions, f"{len(positions)} of {len(where)} traces ({shown}) {text}", excluded)
+    return SweepFault(kind, positions, f"{len(positions)} of {len(where)} traces ({shown}) {text}", excluded)

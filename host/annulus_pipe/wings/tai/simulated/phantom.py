@@ -12,7 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.tai.measure.field import PML_CELLS, Grid, Medium, Solver, receivers
+from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers
 from annulus_pipe.wings.tai.measure.phantoms import Part, draw, reach_mm
 
 SHIFT_MM = (0.0313, 0.0171)  # the phantom lies off the cells, so that no image is made on the grid of its own truth
@@ -53,7 +53,7 @@ class Responses:
         highest = self.highest_hz = centre * (1 + width)
         dx = max(setup.sound_speed_m_s * 1e3 / (2.4 * highest), setup.radius_mm / 400)
         side = scipy.fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
-        grid = Grid((side, side), dx)
+        grid = SoundGrid((side, side), dx)
         solver = Solver(grid, Medium(setup.sound_speed_m_s))
         across_s = 2e-3 * setup.radius_mm / setup.sound_speed_m_s
         steps = math.ceil(1.15 * across_s / solver.dt_s)

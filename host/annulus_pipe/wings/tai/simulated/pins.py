@@ -5,8 +5,8 @@ import numpy.typing as npt
 
 from annulus_pipe.controller import PIN_MICROWAVE
 from annulus_pipe.link.messages import Command, StatusCode
-from annulus_pipe.link.session import Answer, Session, identify
-from annulus_pipe.twin.emulated import Board
+from annulus_pipe.link.session import Answer, LinkSession, identify
+from annulus_pipe.twin.emulated import VirtualBoard
 from annulus_pipe.vocabulary import AnnulusError
 
 ANSWER_TICKS = 50_000_000
@@ -24,11 +24,11 @@ def pulses_of(pins: npt.NDArray[np.void]) -> list[tuple[int, int]]:
     return pulses
 
 
-def fire(board: Board, *commands: Command, ticks: int = 1_000_000) -> npt.NDArray[np.void]:
+def fire(board: VirtualBoard, *commands: Command, ticks: int = 1_000_000) -> npt.NDArray[np.void]:
     """What the pins of a powered board do when it is told these, in virtual time: TRANSITIONs until `ticks` after the
     last answer. AnnulusError for a command that is refused or not answered.
     """
-    session, seen = Session(), []
+    session, seen = LinkSession(), []
     for command in (identify(), *commands):
         ticket, end = session.send(command), board.tick + ANSWER_TICKS
         answer: Answer | None = None

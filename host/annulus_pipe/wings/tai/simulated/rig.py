@@ -19,13 +19,13 @@ from annulus_pipe.controller import (
     PIN_TRIGGER,
     TICK_S,
 )
-from annulus_pipe.twin.emulated import Board, open_board
+from annulus_pipe.twin.emulated import VirtualBoard, open_board
 from annulus_pipe.twin.line import Line, PtyLine, TcpLine
 from annulus_pipe.twin.real_time import rounds
 from annulus_pipe.wings.tai.measure.phantoms import phantom
 from annulus_pipe.wings.tai.simulated.phantom import RigSetup
 from annulus_pipe.wings.tai.simulated.receiver import Receiver
-from annulus_pipe.wings.tai.simulated.scope import Scope
+from annulus_pipe.wings.tai.simulated.scope import SimulatedScope
 
 KEEP_TICKS = 1_000_000  # pulses longer ago than this are heard no more, nor in any record still to come
 ENCODER_TICKS = 100
@@ -35,9 +35,11 @@ _QUADRATURE = ((1, 1), (0, 1), (0, 0), (1, 0))  # of the turntable's encoder, a 
 class AcousticRig:
     """Board, receiver and scope in the board's time. `advance` moves it; `serving` does so in real time."""
 
-    def __init__(self, board: Board, receiver: Receiver, scope: Scope | None = None, *, boot: int = 1) -> None:
+    def __init__(
+        self, board: VirtualBoard, receiver: Receiver, scope: SimulatedScope | None = None, *, boot: int = 1
+    ) -> None:
         self.board, self.receiver = board, receiver
-        self.scope = Scope(seed=receiver.setup.seed) if scope is None else scope
+        self.scope = SimulatedScope(seed=receiver.setup.seed) if scope is None else scope
         self.steps = 0  # where the turntable stands
         self.bursts = 0  # triggers the controller gave
         self._forward = True

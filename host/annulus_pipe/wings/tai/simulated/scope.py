@@ -16,7 +16,7 @@ FAULTS = ("deaf", "hang", "drop", "short", "huge", "hole", "clip", "nonsense")
 
 
 @dataclass
-class Scope:
+class SimulatedScope:
     """Bytes in, bytes out; triggers and volts from the rig.
 
     `faults` : which `:DIGitize`, counted from 0, goes wrong and how: deaf (sees no trigger), hang (says nothing more),

@@ -1,0 +1,91 @@
+"""The five hooks by which the core asks the wings, methods beside the rings that each have a folder of their own.
+
+A wing is a package in `wings`, which finds them. Whichever of these stand in its `__init__` are all that the core knows
+of it, and none costs an import before it is called (so no module of a wing may have such a name):
+
+    opens(scan, calibration, by) -> WingJob | None    a scan that is this wing's to measure; None: it is not
+    measured(job, executor, place, ..) -> WingResults from that job to its result files
+    watches(config, observers) -> None                a companion of a running head, which listens among its observers
+    adds(survey, scan, profiles) -> Survey            what a scan's recording says beside the frames
+    sheet(survey) -> Sheet | None                     that, drawn for the report
+    worlds() -> {name: seed -> World}                 pipes and heads of the twin
+    lights() -> {name: type}                          what a world may hold: projectors, and the ground around a pipe
+    app() -> {words: commands}                        commands, by their words: "bore", "calibrate fringe"
+
+How each is used: docs/ARCHITECTURE.md, "A wing". The core imports this module and no wing (`lint-imports`).
+"""
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from types import ModuleType
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+Pipe = TypeVar("Pipe")
+
+
+class Sheet(NamedTuple):
+    """A part of the report. title : above it. picture : PNG. shows : the picture in words. note : below it, with a
+    full stop. summary : of summary.json, by key."""
+
+    title: str
+    picture: bytes
+    shows: str
+    note: str
+    summary: Mapping[str, Any]
+
+
+class WingJob(Protocol):
+    """A scan that a wing opened. refuses : options of a command that do not go with it, and with what they do not."""
+
+    @property
+    def scan(self) -> Any: ...
+
+    @property
+    def refuses(self) -> Mapping[str, str]: ...
+
+
+class WingResults(NamedTuple):
+    """summary : as summary.json has it. lines : for people, before where the report lies;
+    None: those of any survey. ranges, made : how many windows
+    of the scan were measured apart, and how many of them now."""
+
+    summary: Mapping[str, Any]
+    lines: Sequence[str] | None = None
+    ranges: int = 0
+    made: int = 0
+
+
+def _those_with(hook: str) -> Iterator[Callable[..., Any]]:
+    found: Sequence[ModuleType] = import_module("annulus_pipe.wings").found()  # by name: nothing here stands on them
+    return (getattr(wing, hook) for wing in found if hasattr(wing, hook))
+
+
+def opened(scan: Any, calibration: Any = None, by: str = "") -> tuple[WingJob, Callable[..., WingResults]] | None:
+    """The job of the wing whose the scan is, and what measures it; None where it is rings'. Raises AnnulusError as the
+    wing does, one line."""
+    for opens in _those_with("opens"):
+        job = opens(scan, calibration, by)
+        if job is not None:
+            return job, sys.modules[opens.__module__].measured
+    return None
+
+
+def watch(config: Any, observers: Any) -> None:
+    for hook in _those_with("watches"):
+        hook(config, observers)
+
+
+def added(survey: Pipe, scan: Any, profiles: Any) -> Pipe:
+    for hook in _those_with("adds"):
+        survey = hook(survey, scan, profiles)
+    return survey
+
+
+def sheets(survey: Any) -> tuple[Sheet, ...]:
+    return tuple(one for hook in _those_with("sheet") if (one := hook(survey)) is not None)
+
+
+def merged(hook: str) -> dict[str, Any]:
+    """`worlds`, `lights` or `app` of all wings."""
+    return {name: one for each in _those_with(hook) for name, one in each().items()}
