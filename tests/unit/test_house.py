@@ -17,6 +17,7 @@ ROOMS = ROOT / "host/annulus_pipe"
 MAP = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
 LINES_MAX = 500
 PARAMETERS_MAX = 12  # more are a named tuple's fields: they pass each other unnoticed when two are swapped
+README_LINES_MAX, README_WIDTH_MAX = 70, 110  # one screen or two; what more there is to say is in the manual
 SOURCES = (".py", ".c", ".h", ".mjs")
 
 
@@ -189,6 +190,12 @@ def test_every_decision_is_listed() -> None:
     index = (ROOT / "docs/decisions/README.md").read_text(encoding="utf-8")
     assert pages
     assert not [page for page in pages if f"({page})" not in index]
+
+
+def test_the_readme_is_read_in_a_minute() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= README_LINES_MAX
+    assert not [line for line in lines if len(line) > README_WIDTH_MAX]
 
 
 def test_pages_link_to_files_that_are_there() -> None:

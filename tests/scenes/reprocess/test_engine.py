@@ -1,4 +1,4 @@
-"""Promises of the one engine on a scan of the twin: the same to the bit everywhere, and the README's ten lines."""
+"""Promises of the one engine on a scan of the twin: the same to the bit everywhere, and the manual's ten lines."""
 
 import os
 import re
@@ -22,7 +22,7 @@ from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import Label
 from annulus_pipe.wall import Profile
 
-README = Path(__file__).parents[3] / "README.md"
+PYTHON = Path(__file__).parents[3] / "docs/manual/python.md"
 FRAMES = 24
 
 
@@ -34,7 +34,7 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def folder(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording named as in the README, alone in its folder; every third frame has a roll."""
+    """A recording named as in the manual, alone in its folder; every third frame has a roll."""
     folder = tmp_path_factory.mktemp("scan")
     renderer, size = Renderer(world), (world.camera.width, world.camera.height)
     with RecordingWriter(
@@ -115,9 +115,8 @@ def test_frames_whose_picture_shows_another_lamp_are_said_and_left_out(job: Job)
 
 
 @pytest.mark.deep(gate="tests/scenes/reprocess/test_engine.py::test_the_account_counts_what_the_recording_holds")
-def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
-    section = README.read_text().split("### In Python, no file written")[1]
-    found = re.search(r"```python\n(.*?)```", section, re.DOTALL)
+def test_the_manuals_ten_lines_do_what_they_say(folder: Path) -> None:
+    found = re.search(r"```python\n(.*?)```", PYTHON.read_text(), re.DOTALL)
     assert found is not None
     code = found.group(1)
     assert len(code.splitlines()) <= 10
