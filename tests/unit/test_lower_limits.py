@@ -2,7 +2,7 @@
 
 import pytest
 
-from annulus_pipe.cli.app import _print_summary
+from annulus_pipe.cli.summary import print_summary
 from annulus_pipe.report.page import _depth
 from annulus_pipe.wall.defects import Defect, Kind
 
@@ -28,7 +28,7 @@ def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> 
         "not_seen": [],
         "defects": [{**loss, "floor_seen": False}, {**loss, "floor_seen": True}],
     }
-    _print_summary(summary, tmp_path)
+    print_summary(summary, tmp_path)
     said = capsys.readouterr().out
     assert "loss       ≥ 0.55 ± 0.14 mm at 0.140 m, clock 12:30" in said
     assert said.count("≥") == 1

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from annulus_pipe.vocabulary import Finding
-from annulus_pipe.hooks import Results, Sheet
+from annulus_pipe.hooks import Sheet, WingResults
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ def opens(scan: Any, calibration: Any, by: str) -> EchoJob | None:
     return EchoJob(Scan(scan, (), None, None))
 
 
-def measured(job: EchoJob, executor: Any, place: Any, out: Any, account: Any, **how: Any) -> Results:
+def measured(job: EchoJob, executor: Any, place: Any, out: Any, account: Any, **how: Any) -> WingResults:
     (out / "echo.txt").write_text(account.source)
-    return Results({"echoes": 0}, ("echoes     none: no method yet",))
+    return WingResults({"echoes": 0}, ("echoes     none: no method yet",))
 
 
 def watches(config: Any, observers: Any) -> None:

@@ -4,10 +4,9 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -159,6 +158,7 @@ def reconstruct(
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
     from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.job import job_of
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess import Processes, look_at, make_ready, open_job, surveyed
@@ -186,7 +186,7 @@ def reconstruct(
         if as_json:
             print(json.dumps(results.summary))
         elif results.lines is None:
-            _print_summary(results.summary, out)
+            print_summary(results.summary, out)
         else:
             print("\n".join([*results.lines, f"report     {out / 'report.html'}"]))
         return
@@ -204,76 +204,13 @@ def reconstruct(
     if as_json:
         print(json.dumps(summary))
     else:
-        _print_summary(summary, out)
+        print_summary(summary, out)
 
 
 def _criteria(limits: Path | None) -> "Criteria | None":
     from annulus_pipe.cli.limits_file import load_limits
 
     return None if limits is None else load_limits(limits)
-
-
-HOLES_PRINTED = 10  # the largest; the report has all
-
-
-def _print_summary(data: Mapping[str, Any], out: Path) -> None:
-    from annulus_pipe.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, quoted, span
-
-    def where(one: Mapping[str, Any]) -> str:
-        return f"at {quoted(one['z_mm'], DISTANCE)}, clock {one['clock']}"
-
-    diameter = data["diameter_mm"]
-    counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
-    print(f"frames     {counts}")
-    if diameter["mean"] is not None:
-        between = span(diameter["min"], diameter["max"], MEASURE)
-        print(f"diameter   {quoted(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
-    if data.get("scale"):
-        print(f"scale      {data['scale']['anchor']}")
-    print(f"points     {data['points']}")
-    for d in data["defects"]:
-        depth = quoted(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
-        hidden = f", {quoted(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""
-        size = f"{quoted(d['length_mm'], EXTENT)} long, {quoted(d['arc_deg'], ARC)}"
-        print(f"{d['kind']:<10} {depth} {where(d)}, {size}{hidden}")
-    if not data["defects"]:
-        print("defects    none" + (" that is sure" if data["undecided"] else ""))
-    for f in data["features"]:
-        at = f"at {quoted(f['z_mm'], DISTANCE)}, all round"
-        if f["arc_deg"] < 360:
-            at = f"{where(f)}, {quoted(f['arc_deg'], ARC)}"
-        print(f"{f['kind']:<10} {at}" + (f": {f['remark']}" if f["remark"] else ""))
-    if "conformity" in data:
-        print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
-        for remark in data["conformity"]["remarks"]:
-            print(f"           {remark}")
-        places = data["conformity"].get("not_established", [])
-        if usual := sum(place["usual"] for place in places):
-            print(f"           not seen as in every scan (strips, ends, joints' zones), see the report: {usual} places")
-        for place in (place for place in places if not place["usual"]):
-            clock = "all round" if place["arc_deg"] >= 360 else f"clock {' to '.join(place['clock_from_to'])}"
-            where_to = f"{span(place['z_from_mm'], place['z_to_mm'], DISTANCE)}, {clock}"
-            print(f"           not established: {', '.join(place['limits'])} {where_to}: {place['reason']}")
-    for d in data["undecided"]:
-        print(f"undecided  {quoted(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}: {d['why']}")
-    # with limits they stand among what is not established
-    holes = [] if "conformity" in data else [hole for hole in data["not_seen"] if not hole["usual"]]
-    holes.sort(key=lambda one: -one["arc_deg"] * (one["z_to_mm"] - one["z_from_mm"]))
-    for hole in holes[:HOLES_PRINTED]:
-        clock = "all round" if hole["arc_deg"] >= 360 else f"clock {' to '.join(hole['clock_from_to'])}"
-        print(f"not seen   {span(hole['z_from_mm'], hole['z_to_mm'], DISTANCE)}, {clock}: {hole['reason']}")
-    if len(holes) > HOLES_PRINTED:
-        print(f"not seen   {len(holes) - HOLES_PRINTED} smaller places, see the report")
-    if "vibration" in data:
-        for line in data["vibration"]["lines"]:
-            hertz = "" if line["hertz"] is None else f" ({digits(line['hertz'], MEASURE)} Hz)"
-            cycles = f"{digits(line['cycles_per_m'], MEASURE)} cycles/m{hertz}"
-            print(f"vibration  {cycles}, {quoted(line['amplitude_mm'], MEASURE)}, taken out")
-        if not data["vibration"]["lines"]:
-            print(f"vibration  {data['vibration']['note'] or 'none found'}")
-    for warning in data["warnings"]:
-        print(f"warning    {warning['text']}")
-    print(f"report     {out / 'report.html'}")
 
 
 @app.command(epilog="Example: annulus demo --seconds 12 --out /tmp/demo --no-open")

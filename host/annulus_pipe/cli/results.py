@@ -77,7 +77,7 @@ class WindowFiles:
         self.place.remove(SUMMARY)
         with tempfile.TemporaryDirectory(prefix="annulus-") as made:
             write_window(survey, account, Path(made), number)
-            _upload(Path(made), self.place)
+            self.place.write_folder(Path(made), last=SUMMARY)
             return replace(self, place=StoragePath(made)).digests(number)
 
     def made_from(self) -> str:
@@ -126,7 +126,7 @@ def measured_by(
             return measure(job, executor, place, place.local, account, progress=report, paper=paper, keep=keep)
         with tempfile.TemporaryDirectory(prefix="annulus-") as made:
             results = measure(job, executor, place, Path(made), account, progress=report, paper=paper, keep=keep)
-            _upload(Path(made), place)
+            place.write_folder(Path(made), last=SUMMARY)
             return results
 
 
@@ -148,7 +148,7 @@ def write_results(
         for name in place.names(f"{WINDOWS}/"):
             if name.split("/")[1] not in kept:
                 place.remove(name)
-        _upload(folder, place, leave_out=WINDOWS)
+        place.write_folder(folder, last=SUMMARY, leave_out=WINDOWS)
     return summary
 
 
@@ -161,12 +161,3 @@ def _written(done: "Surveyed", about: ReportContext, out: Path, paper: "Paper | 
     summary = write(done.survey, account, out, paper=paper)
     keep_windows(out)
     return summary
-
-
-def _upload(folder: Path, place: StoragePath, leave_out: str = "") -> None:
-    """All files of a folder into a place, summary.json last."""
-    files = [file for file in folder.rglob("*") if file.is_file()]
-    for file in sorted(files, key=lambda file: (file.name == SUMMARY, file)):
-        name = file.relative_to(folder).as_posix()
-        if not (leave_out and name.startswith(f"{leave_out}/")):
-            place.write(name, file.read_bytes())

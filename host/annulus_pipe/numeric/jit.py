@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar, cast
@@ -51,6 +52,16 @@ def _know_by_all_it_uses(kernel: Any) -> None:
         kept, "_source_stamp"
     ):  # else a numba that has it elsewhere: it looks at the own file alone, a test tells
         kept._source_stamp = stamp_of(kernel.py_func)  # not the file's time: a checkout and back changes nothing
+        kept._load_index = partial(_index_or_none, kept._load_index)
+
+
+def _index_or_none(load: Callable[[], Any]) -> Any:
+    """numba's index of what it keeps, or none: one that names a class of old code cannot be read at all, and is looked
+    into before its stamp is."""
+    try:
+        return load()
+    except Exception:  # whatever it is, the code is compiled anew, and the index written over
+        return {}
 
 
 def stamp_of(function: Callable[..., Any]) -> str:

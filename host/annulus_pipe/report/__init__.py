@@ -1,7 +1,7 @@
 """A survey as files and pages: cloud, mesh, maps, tables, a summary for programs and a report to hand over.
 
-Computes nothing and knows no method: what it writes is an attribute of `wall.Survey`, for a flat wall of
-`wall.plate.Plate`, or stands in the `ScanAccount` beside it.
+Computes nothing and knows no method: what it writes is an attribute of `wall.Survey`, or stands in the `ScanAccount`
+beside it.
 """
 
 from annulus_pipe.report.account import ScanAccount

@@ -122,6 +122,15 @@ class StoragePath:
             with written_whole(file) as out:
                 out.write(content)
 
+    def write_folder(self, folder: Path, *, last: str, leave_out: str = "") -> None:
+        """All files of a folder of this machine, those named `last` after the others, so that whoever finds one finds
+        what it speaks of too. leave_out : a folder in it."""
+        files = [file for file in folder.rglob("*") if file.is_file()]
+        for file in sorted(files, key=lambda file: (file.name == last, file)):
+            name = file.relative_to(folder).as_posix()
+            if not (leave_out and name.startswith(f"{leave_out}/")):
+                self.write(name, file.read_bytes())
+
     def names(self, prefix: str = "") -> list[str]:
         """Names of its files, also of those in folders ("ranges/0007.parquet"), that begin so; sorted."""
         within = prefix.rpartition("/")[0]

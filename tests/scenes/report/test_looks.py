@@ -26,7 +26,7 @@ from annulus_pipe.wall import LedFrame, survey
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
-from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 from annulus_pipe.wings.joints.page import write_joint_page
 

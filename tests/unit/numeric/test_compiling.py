@@ -67,6 +67,31 @@ def test_a_kernel_is_compiled_anew_when_another_files_kernel_or_constant_in_it_c
     assert run(tmp_path, monkeypatch) == ["15.0 1"]
 
 
+TAKES = """
+from typing import NamedTuple
+from annulus_pipe.numeric.jit import jit
+
+class {name}(NamedTuple):
+    radius: float
+
+@jit
+def half(tube):
+    return tube.radius / 2.0
+
+def weighed(x):
+    return half({name}(x))
+weighed.stats = half.stats
+"""
+
+
+def test_kept_code_that_names_a_class_of_an_older_version_is_compiled_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, hits in (("Tube", 0), ("Tube", 1), ("Pipe", 0), ("Pipe", 1)):
+        (tmp_path / "caller.py").write_text(TAKES.format(name=name))
+        assert run(tmp_path, monkeypatch) == [f"6.0 {hits}"]
+
+
 def test_who_waits_is_told_once_and_not_when_nothing_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -94,6 +94,23 @@ def test_a_writer_that_fails_changes_nothing(store: ObjectStore, tmp_path: Path,
     assert place.read("a") == b"before" and place.names() == ["a"]
 
 
+def test_a_folder_goes_into_a_place_its_last_file_after_the_others(
+    store: ObjectStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a/summary.json", "summary.json", "wall.npz", "windows/0001/wall.npz"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    written: list[str] = []
+    write = StoragePath.write
+    monkeypatch.setattr(
+        StoragePath, "write", lambda self, name, content: (written.append(name), write(self, name, content))
+    )
+    place = StoragePath(store.url("folder"))
+    place.write_folder(tmp_path, last="summary.json", leave_out="windows")
+    assert written == ["wall.npz", "a/summary.json", "summary.json"]
+    assert place.names() == sorted(written) and place.read("a/summary.json") == b"a/summary.json"
+
+
 @pytest.mark.parametrize("name", ["", "/a", "../a", "a/../../b", "a\\b", "a\0"])
 def test_a_name_stays_in_its_place(tmp_path: Path, name: str) -> None:
     with pytest.raises(AnnulusError):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.report import ScanAccount
-from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 
 

@@ -16,12 +16,12 @@ from annulus_pipe.geometry.calibration import Calibration, HeadCamera, camera_to
 from annulus_pipe.report import ScanAccount
 from annulus_pipe.reprocess import open_job
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe import plate as module
 from annulus_pipe.wings.fringe.calibrate_pipe import _design
 from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
 from annulus_pipe.wings.fringe.job import fringes_on, open_fringe
 from annulus_pipe.wings.fringe.measure import projector_to_dict
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from annulus_pipe.wings.fringe.plate_page import write_plate
 

@@ -16,9 +16,9 @@ from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.ranges import FOLDER
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.twin.scan import write_scan
-from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.heads import series_world
 from annulus_pipe.wings.fringe.job import open_fringe
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from tools.bench.dask_processes import Cluster
 

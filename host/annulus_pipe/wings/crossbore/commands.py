@@ -3,12 +3,11 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from annulus_pipe.cli.show import Json, group, progress
-from annulus_pipe.vocabulary import AnnulusError
 
 app = group("Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors.")
 
@@ -36,44 +35,11 @@ def detect_command(
     is is said. What no wall can give (a chip that froze, a loose wire) is no reading: such stretches are listed, and no
     bore is called there. The head's pose (off_x_mm, off_y_mm), where there, takes lift-off out.
     """
-    from dataclasses import replace
+    from annulus_pipe.wings.crossbore.detected import detect_in_log
+    from annulus_pipe.wings.crossbore.measure import likely
+    from annulus_pipe.wings.crossbore.picture import clock
 
-    from annulus_pipe.wings.crossbore.log_file import read_bore_log
-    from annulus_pipe.wings.crossbore.measure import CapacitiveHead, Log, detect, likely, on_grid
-    from annulus_pipe.wings.crossbore.picture import clock, write_bores
-
-    head = CapacitiveHead()
-    if air_pf is not None:
-        head = replace(head, air_ff=1000 * air_pf)
-    if coupling_ff is not None:
-        head = replace(head, coupling_ff=coupling_ff)
-    rows = Log(*read_bore_log(log))
-    try:
-        grid = on_grid(rows, head)
-        account = detect(grid, head, joints_mm=joint_mm or ())
-    except AnnulusError as error:
-        raise AnnulusError(f"{log}: {error}") from None
-    bores = [_detection(one) for one in account.bores]
-    others = [_detection(one) for one in account.indications if one not in account.bores]
-    files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
-    summary: dict[str, Any] = {
-        "log": str(log),
-        "length_mm": account.length_mm,
-        "unseen_mm": account.unseen_mm,
-        "ends_mm": account.ends_mm,
-        "water_told_mm": account.water_told_mm,
-        "wanders": account.wanders,
-        "rows_without_reading": grid.unread,
-        "spikes": grid.spikes,
-        "gaps": [
-            {"sectors": list(gap.sectors), "from_mm": gap.from_mm, "to_mm": gap.to_mm, "why": str(gap.why)}
-            for gap in account.gaps
-        ],
-        "lift_off_ff_per_mm": grid.lift_ff_mm,
-        "bores": bores,
-        "others": others,
-        "files": [str(f) for f in files],
-    }
+    account, grid, has_loss, summary, files = detect_in_log(log, out, air_pf, coupling_ff, joint_mm or ())
     if as_json:
         print(json.dumps(summary, allow_nan=False))
         return
@@ -100,7 +66,7 @@ def detect_command(
         print("bores      none of those that can be told here")
     blind = account.length_mm - account.water_told_mm
     if blind > 1000:
-        why = "no loss in the log, and soil reads like water" if rows.loss_ff is None else "not seen"
+        why = "not seen" if has_loss else "no loss in the log, and soil reads like water"
         print(f"water      cannot be told on {blind / 1000:.1f} m: {why}")
     if files:
         print(f"files      {', '.join(str(file) for file in files)}")
@@ -121,16 +87,9 @@ def simulate_command(
     seed: Annotated[int, typer.Option(min=0, help="The same seed, the same log.")] = 0,
 ) -> None:
     """A log of the twin's pipe, with couplings, beads, hollows, lost rows, slips and drift, and its truth."""
-    from annulus_pipe.wings.crossbore.ground import ROOM_M, some_ground, write
-    from annulus_pipe.wings.crossbore.ground import log as passage
+    from annulus_pipe.wings.crossbore.ground import SOILS, simulate_log
 
-    room = length_m / (2 * (bores + near) + 5)
-    if room < ROOM_M:
-        raise AnnulusError(
-            f"{bores + near} sewers in {length_m:g} m: {1000 * room:.0f} mm each, expected at least {1000 * ROOM_M:g}"
-        )
-    ground = some_ground(1000 * length_m, seed, tuple(soil or (15.0, 4.0, 22.0)), bores, near, pose, loss)
-    truth = write(passage(ground, seed), log)
+    truth = simulate_log(log, length_m, seed, tuple(soil or SOILS), bores, near, pose, loss)
     print(f"files      {log}, {truth}")
 
 
@@ -186,21 +145,3 @@ def model_command(
         change = " / ".join(f"{one:+.1f}" for one in row["change_ff"])
         print(f"pipe {row['pipe']}     {row['case']}, {row['fill']}: {change} fF{measured}")
     print(f"files      {', '.join(str(file) for file in files)}")
-
-
-def _detection(one: Any) -> dict[str, Any]:
-    content: dict[str, Any] = {
-        "odometer_mm": round(one.odometer_mm, 1),
-        "kind": str(one.kind),
-        "extent_mm": round(one.extent_mm, 1),
-        "change_ff": [round(float(v), 1) for v in one.change_ff],
-    }
-    if math.isfinite(one.phi_deg):
-        content |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
-    if math.isfinite(one.speed_mm_s[0]):
-        content["speed_mm_s"] = {"transient": round(one.speed_mm_s[0], 1), "odometer": round(one.speed_mm_s[1], 1)}
-    if one.odds:
-        content["odds"] = {fate: round(value, 4) for fate, value in one.odds.items()}
-    if math.isfinite(one.loss_ff):
-        content["loss_ff"] = round(one.loss_ff, 1)
-    return content

@@ -38,6 +38,7 @@ WATER_EPS, WATER_LOSS_FF = 80.0, 10.0
 COUPLING_FF, COUPLING_MM = 113.0, 115.0
 STEP_MM, STEP_DEG = 4.0, 5.0
 ROOM_M = 0.7  # that two things along a pipe are apart, at least
+SOILS = (15.0, 4.0, 22.0)  # relative permittivities
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,7 @@ class Capacitance(Steady):
 def some_ground(
     length_mm: float,
     seed: int,
-    soils: tuple[float, ...] = (15.0, 4.0, 22.0),
+    soils: tuple[float, ...] = SOILS,
     bores: int = 3,
     near: int = 2,
     pose: bool = False,
@@ -355,3 +356,15 @@ def write(drawn: Drawn, path: Path) -> Path:
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be written ({error.strerror})") from None
     return truth
+
+
+def simulate_log(
+    path: Path, length_m: float, seed: int, soils: tuple[float, ...], bores: int, near: int, pose: bool, loss: bool
+) -> Path:
+    """The log of one passage through some ground, and its truth beside it; that path."""
+    room = length_m / (2 * (bores + near) + 5)
+    if room < ROOM_M:
+        raise AnnulusError(
+            f"{bores + near} sewers in {length_m:g} m: {1000 * room:.0f} mm each, expected at least {1000 * ROOM_M:g}"
+        )
+    return write(log(some_ground(1000 * length_m, seed, soils, bores, near, pose, loss), seed), path)

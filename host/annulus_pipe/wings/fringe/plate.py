@@ -25,7 +25,6 @@ from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.reprocess.executors import Executor, in_process
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError, Finding, first_few
-from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order
 from annulus_pipe.wings.fringe.measure import (
     FringeView,
@@ -43,6 +42,7 @@ from annulus_pipe.wings.fringe.measure import (
     stereo_heights,
     untextured,
 )
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
 from annulus_pipe.wings.fringe.windows import Arrays, FringeWindow, FringeWindowWork, window_of, without_frames
 

@@ -18,7 +18,7 @@ from annulus_pipe.report.ply import write_ply
 from annulus_pipe.report.results import DEPTH, SUMMARY, staged, write_page
 from annulus_pipe.report.sheet import minute, sheet
 from annulus_pipe.report.summary import finite, versions
-from annulus_pipe.wall.plate import Plate
+from annulus_pipe.wings.fringe.measure.plate import Plate
 
 CLOUD_NOTE = "annulus point cloud of a plate, mm: first camera's frame at position 0; sigma = of the height, k = 1"
 TEMPLATE = "annulus_pipe.wings.fringe/plate.html.j2"

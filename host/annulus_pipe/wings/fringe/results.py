@@ -10,8 +10,8 @@ from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.reprocess.executors import Executor
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.wall.conformity import judge
-from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.job import FringeJob
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, Progress, reconstruct_fringe_pipe
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from annulus_pipe.wings.fringe.plate_page import write_plate

@@ -12,18 +12,6 @@ from annulus_pipe.cli.show import Json, group, progress
 from annulus_pipe.vocabulary import AnnulusError
 
 app = group("Butt-fusion joints: beads, heat-affected zone and flaws from a CT volume, and what strengths go with.")
-SENSE_NAMES = {1: "same", -1: "mirrored", 0: "undecided"}
-DIAMETER_AGREES, WALL_AGREES = 0.03, 0.15  # of what ct.json says the pipe has
-TWIN_FEED_MM_MIN = 30_000.0  # a bench that nobody waits for
-
-
-def agree(ct: Path, volume: Any, said_mm: float | None, found_mm: float, what: str, part: float) -> None:
-    """AnnulusError where a length of the volume is further from what its ct.json says than that part of it."""
-    if said_mm is not None and abs(found_mm - said_mm) > part * said_mm:
-        raise AnnulusError(
-            f"{ct}: {what} is {found_mm:.2f} mm in the volume and {said_mm:g} mm in ct.json; is the voxel "
-            f"size of {' x '.join(f'{v:g}' for v in volume.voxel_mm)} mm right?"
-        )
 
 
 @app.command("image", epilog="Example: annulus joint image joint-7/ct.tif -o joint-7/result")
@@ -48,32 +36,16 @@ def image_command(
     same volume, which has to be seen on both sides of the joint. No CT of a PE joint is public: this is
     proven on simulated ones.
     """
-    from annulus_pipe.wings.joints.measure import Parts, features, image, maps, summary
-    from annulus_pipe.wings.joints.pictures import write_joint
-    from annulus_pipe.wings.joints.volume_file import open_volume
+    from annulus_pipe.wings.joints.ct import image_joint
+    from annulus_pipe.wings.joints.measure import Parts
 
-    parts = Parts(inner_mm, of_mm)
-    volume = open_volume(ct, voxel_mm)
     with progress() as report:
-        try:
-            joint = image(volume, parts, report)
-        except AnnulusError as error:
-            raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
-    for expected, found, name, part in (
-        (volume.outer_diameter_mm, 2 * joint.found.radius_mm, "outer diameter", DIAMETER_AGREES),
-        (volume.wall_mm, joint.found.wall_mm, "wall", WALL_AGREES),
-    ):
-        agree(ct, volume, expected, found, f"the pipe's {name}", part)
-    figures = summary(joint)
-    named = features(joint)
-    files = write_joint(out, named, maps(joint), figures)
+        volume, figures, flaws, files = image_joint(ct, out, voxel_mm, Parts(inner_mm, of_mm), report)
     if as_json:
         voxels = {"form": volume.form, "shape": list(volume.shape), "voxel_mm": list(volume.voxel_mm)}
-        print(
-            json.dumps({"volume": voxels, **figures, "flaws": named["found"], "files": [str(file) for file in files]})
-        )
+        print(json.dumps({"volume": voxels, **figures, "flaws": flaws, "files": [str(file) for file in files]}))
         return
-    _print(volume, figures, named["found"])
+    _print(volume, figures, flaws)
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
@@ -88,8 +60,8 @@ def scan_command(
     port: Annotated[
         str | None, typer.Option(help="Serial port of the controller, whose turntable turns the pipe.")
     ] = None,
-    stage: Annotated[
-        str | None, typer.Option("--linear-stage", help="Serial port of what carries the probe along, GRBL 1.1.")
+    linear_stage: Annotated[
+        str | None, typer.Option(help="Serial port of what carries the probe along, GRBL 1.1.")
     ] = None,
     axis: Annotated[str, typer.Option(help="Of the linear stage: X, Y or Z.")] = "X",
     feed: Annotated[float, typer.Option(min=1.0, max=1e5, help="Of the linear stage, mm/min.")] = 600.0,
@@ -122,11 +94,10 @@ def scan_command(
     Every point is on the disk before the next; Ctrl-C, a lost probe or a stage in alarm ends the scan with what it has
     (status not 0), --resume goes on. `annulus joint register` lays the raster on the joint's CT.
     """
-    from annulus_pipe.wings.joints.linear_stage import LinearStage
-    from annulus_pipe.wings.joints.probe import Probe, SampleProbe, VisaProbe
+    from annulus_pipe.wings.joints.bench import Addresses, opened_bench, twin_bench
     from annulus_pipe.wings.joints.scan import RasterPlan, log_of, scan
 
-    given = [one is not None for one in (port, stage, probe)]
+    given = [one is not None for one in (port, linear_stage, probe)]
     if twin == any(given) or any(given) != all(given):
         raise AnnulusError("give --port, --linear-stage and --probe, or --twin alone")
     queries = {name: key for name, key in (("amplitude_mv", amplitude), ("phase_mv", phase)) if key}
@@ -136,24 +107,13 @@ def scan_command(
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
-        if twin:
-            from annulus_pipe.twin.real_time import serving
-            from annulus_pipe.wings.joints.simulated import QUERIES, bench
-
-            rig = stack.enter_context(serving(bench(steps_per_turn)))
-            port, stage, probe, homed = rig.port_url, rig.stage_url, rig.probe_name, True
-            queries = {name: query for query, name in QUERIES.items()}
-            feed = TWIN_FEED_MM_MIN
-        assert port is not None and stage is not None and probe is not None
-        carried = stack.enter_context(LinearStage(stage, axis=axis, feed_mm_min=feed))
-        if home:
-            carried.home()
-        meter: Probe = (
-            SampleProbe(probe, sensor, queries) if probe.startswith(("ipc://", "tcp://")) else VisaProbe(probe, queries)
-        )
-        stack.callback(meter.close)
+        if port is None or linear_stage is None or probe is None:
+            bench = stack.enter_context(twin_bench(steps_per_turn, axis, home=home))
+        else:
+            at = Addresses(port, linear_stage, probe, sensor, queries)
+            bench = stack.enter_context(opened_bench(at, axis, feed, home=home))
         try:
-            done = scan(port, carried, meter, plan, out, resume=resume, homed=homed, say=notes.append, progress=report)
+            done = scan(*bench, plan, out, resume=resume, homed=homed or twin, say=notes.append, progress=report)
         except KeyboardInterrupt:
             notes.append(f"stopped; what was measured is in {log_of(out)}, --resume goes on")
             raise
@@ -187,86 +147,31 @@ def register_command(
     wall, `material` with the bead's share taken out) and scan.png. `accepted` is not proof: rasters of other joints
     that had one cold sector too were accepted in 11 of 80 simulated cases, in one set of 20 in 5.
     """
-    import numpy as np
+    from annulus_pipe.wings.joints.register import register
 
-    from annulus_pipe.wings.joints.measure.raster import Raster, Surface, at_joint, place
-    from annulus_pipe.wings.joints.pictures import write_scan
-    from annulus_pipe.wings.joints.raster_file import read_joint, read_raster
-    from annulus_pipe.wings.joints.strength_file import read_features
-
-    joint, maps = read_joint(folder)
-    phi, curves = read_features(folder / "features.json", ["zj", "W"])
-    if len(phi) != len(maps["phi_deg"]) or not np.isfinite(curves["zj"]).all():
-        raise AnnulusError(f"{folder / 'features.json'}: phi_deg or zj, expected as in maps.npz")
-    angle, z, channels = read_raster(raster)
-    surface = Surface(
-        maps["z_mm"],
-        maps["bead_out_mm"],
-        maps["density"],
-        float(np.mean(maps["outer_mm"] - maps["bead_out_mm"])),
-        float(np.mean(curves["zj"])),
-    )
-    try:
-        placed = place(Raster(np.radians(angle), z, np.stack(list(channels.values()))), surface)
-    except AnnulusError as error:
-        raise AnnulusError(f"{raster}: {error}") from None
-    microwave: dict[str, Any] = {
-        "raster": str(raster),
-        "accepted": placed.accepted,
-        "why_not": placed.why,
-        "shift_deg": float(np.degrees(placed.shift)),
-        "shift_sigma_deg": float(np.degrees(placed.shift_sigma)),
-        "sense": SENSE_NAMES[placed.sense],
-        "sense_along": SENSE_NAMES[placed.along],
-        "best_sense": SENSE_NAMES[placed.best_sense],
-        "best_sense_along": SENSE_NAMES[placed.best_along],
-        "as_likely": [
-            {"sense": SENSE_NAMES[sense], "sense_along": SENSE_NAMES[along], "shift_deg": float(np.degrees(shift))}
-            for sense, along, shift in placed.others
-        ],
-        "joint_at_raster_z_mm": placed.raster_joint_mm,
-        "joint_at_raster_z_sigma_mm": placed.raster_joint_sigma_mm,
-        "blur_sigma_mm": {"round": placed.blur_mm[0], "along": placed.blur_mm[1]},
-        "explained": placed.explained,
-        "p": placed.p,
-        "log_odds_of_angle": placed.odds,
-        "gains": {
-            name: dict(zip(("bead_mv_per_mm", "density_mv", "bead_and_lift_per_mm"), gains.tolist(), strict=True))
-            for name, gains in zip(channels, placed.gains, strict=True)
-        },
-    }
-    laid = {
-        f"{part}_{name}": one
-        for part, both in (("joint", placed.joint_mv), ("material", placed.material_mv))
-        for name, one in zip(channels, both, strict=True)
-    }
-    if placed.accepted and placed.sense:
-        microwave["phi_deg"] = phi
-        microwave |= {name: at_joint(one, maps["z_mm"], curves["zj"]) for name, one in laid.items()}
-    drawn = {"phi_deg": phi, "zj": curves["zj"], "W": curves["W"]}
-    files = write_scan(folder, joint, microwave, drawn, maps, laid)
+    angles, places, channels, figures, files = register(folder, raster)
     if as_json:
-        print(
-            json.dumps(
-                {k: v for k, v in microwave.items() if k != "phi_deg" and k not in laid} | {"files": [*map(str, files)]}
-            )
-        )
+        print(json.dumps(figures | {"files": [*map(str, files)]}))
         return
-    print(f"raster     {len(angle)} angles x {len(z)} z, {' and '.join(channels)}")
+    blur = figures["blur_sigma_mm"]
+    print(f"raster     {angles} angles x {places} z, {' and '.join(channels)}")
     print(
-        f"lies at    shift {microwave['shift_deg']:.1f} deg, sigma {microwave['shift_sigma_deg']:.1f}; the joint at z "
-        f"{placed.raster_joint_mm:.2f} mm of the raster, sigma {placed.raster_joint_sigma_mm:.2f}"
+        f"lies at    shift {figures['shift_deg']:.1f} deg, sigma {figures['shift_sigma_deg']:.1f}; the joint at z "
+        f"{figures['joint_at_raster_z_mm']:.2f} mm of the raster, sigma {figures['joint_at_raster_z_sigma_mm']:.2f}"
     )
-    print(f"sense      of angle {microwave['sense']}, along the pipe {microwave['sense_along']}")
-    for other in microwave["as_likely"]:
+    print(f"sense      of angle {figures['sense']}, along the pipe {figures['sense_along']}")
+    for other in figures["as_likely"]:
         print(
             f"as likely  shift {other['shift_deg']:.1f} deg, of angle {other['sense']}, "
             f"along the pipe {other['sense_along']}"
         )
-    print(f"blur       {placed.blur_mm[0]:.1f} mm round the pipe, {placed.blur_mm[1]:.1f} mm along it (sigma)")
-    print(f"explained  {100 * placed.explained:.0f} % of what varies with the angle; p of the search {placed.p:.3f}")
-    print(f"accepted   {'yes' if placed.accepted else 'no: ' + placed.why}")
-    if placed.accepted:
+    print(f"blur       {blur['round']:.1f} mm round the pipe, {blur['along']:.1f} mm along it (sigma)")
+    print(
+        f"explained  {100 * figures['explained']:.0f} % of what varies with the angle; p of the search "
+        f"{figures['p']:.3f}"
+    )
+    print(f"accepted   {'yes' if figures['accepted'] else 'no: ' + figures['why_not']}")
+    if figures["accepted"]:
         print("           no proof: of joints that have one cold sector too, one in eight passes for this one")
     print(f"files      {', '.join(str(file) for file in files)}")
 

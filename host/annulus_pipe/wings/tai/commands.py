@@ -4,7 +4,7 @@ import contextlib
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -186,20 +186,9 @@ def decode_command(
     as_json: Json = False,
 ) -> None:
     """Compress a coded sweep into what one pulse would have been heard as."""
-    from annulus_pipe.wings.tai.acoustic_file import load_acoustic, save_acoustic
-    from annulus_pipe.wings.tai.decode import code_name, decode_record, decode_records, detected_code, load_template
+    from annulus_pipe.wings.tai.decode import decode_file
 
-    record = load_acoustic(source)
-    if not record.code:
-        raise AnnulusError(f"{source}: does not say what was sent; expected a raw sweep with its code")
-    answer: dict[str, Any] = {"code": code_name(record.code), "detected_code": detected_code(record)}
-    if second is not None:
-        decoded = decode_records(record, load_acoustic(second))
-    else:
-        decoded, used = decode_record(record, load_template(template) if template else None)
-        if used is not None:
-            answer |= {"psr": used.psr, "gain_db": used.gain_db, "ceiling_db": used.ceiling_db}
-    save_acoustic(out, decoded)
+    answer = decode_file(source, out, second, template)
     if as_json:
         print(json.dumps(answer))
         return

@@ -13,7 +13,7 @@ from annulus_pipe.controller import CODES
 from annulus_pipe.link.codes import pattern, text
 from annulus_pipe.untrusted import parse_json, read_file
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.tai.acoustic_file import AcousticRecord
+from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, save_acoustic
 from annulus_pipe.wings.tai.measure.sweep import Sweep
 from annulus_pipe.wings.tai.measure.templates import TAPS_MAX, Template, decode, decode_pair, design
 
@@ -86,6 +86,23 @@ def load_template(path: Path) -> Template:
         data.get("method", "minimax"),
         numbers["delay_chips"],
     )
+
+
+def decode_file(source: Path, out: Path, second: Path | None, template: Path | None) -> dict[str, Any]:
+    """Decodes a raw sweep (with `second`, a pair) into `out`; what was sent, what it sounds like, and of a template its
+    sidelobes and gain. AnnulusError as `decode_record`, and where the sweep does not say what was sent."""
+    record = load_acoustic(source)
+    if not record.code:
+        raise AnnulusError(f"{source}: does not say what was sent; expected a raw sweep with its code")
+    answer: dict[str, Any] = {"code": code_name(record.code), "detected_code": detected_code(record)}
+    if second is not None:
+        decoded = decode_records(record, load_acoustic(second))
+    else:
+        decoded, used = decode_record(record, load_template(template) if template else None)
+        if used is not None:
+            answer |= {"psr": used.psr, "gain_db": used.gain_db, "ceiling_db": used.ceiling_db}
+    save_acoustic(out, decoded)
+    return answer
 
 
 def decode_record(record: AcousticRecord, template: Template | None = None) -> tuple[AcousticRecord, Template | None]:

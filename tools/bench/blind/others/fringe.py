@@ -16,9 +16,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.plate import Plate
 from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
 from annulus_pipe.wings.fringe.job import open_fringe
+from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from tools.bench.blind.others.tally import Case
 from tools.bench.blind.score import Number

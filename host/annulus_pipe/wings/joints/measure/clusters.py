@@ -6,11 +6,13 @@ and mirrored as a whole, which leaves neighbours alike, and dealt among joints o
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.joints.measure.statistics import LEVEL
 
 PIPES_MIN = 3
 SHRUNK = 0.1  # of the common variance, towards independence: two features of eight dogbones may lie on a line
@@ -27,6 +29,25 @@ class Clusters:
     balanced: float
     p: float
     least_p: float
+
+    @property
+    def verdict(self) -> str:
+        if self.p <= LEVEL:
+            return "told"
+        return (
+            "cannot be told, whatever had come out: too few joints" if self.least_p > LEVEL else "not told from chance"
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """What clusters.json says of it."""
+        return {
+            "called_good": self.called_good,
+            "accuracy": self.accuracy,
+            "balanced": self.balanced,
+            "p": self.p,
+            "least_p": self.least_p,
+            "verdict": self.verdict,
+        }
 
 
 def leave_one_out(

@@ -12,8 +12,10 @@ are tried, and one is named only where the next best is a hundred times less lik
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import interp1d
@@ -35,6 +37,7 @@ P_MOST = 0.01  # accepted: so seldom do rasters of the same waviness fit as well
 EXPLAINED = 0.6  # accepted: of what varies with the angle at the joint, the part that the CT explains
 AWAY_DEG = 25.0  # from the best angle, is another
 Z_STEP_MM = 1.0  # of the coarse search along the pipe
+SENSE_NAMES = {1: "same", -1: "mirrored", 0: "undecided"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,6 +103,41 @@ class PlacedRaster:
     gains: FloatArray
     joint_mv: FloatArray
     material_mv: FloatArray
+
+    def figures(self, channels: Sequence[str]) -> dict[str, Any]:
+        """All but the maps, by name, angles in degrees."""
+        return {
+            "accepted": self.accepted,
+            "why_not": self.why,
+            "shift_deg": float(np.degrees(self.shift)),
+            "shift_sigma_deg": float(np.degrees(self.shift_sigma)),
+            "sense": SENSE_NAMES[self.sense],
+            "sense_along": SENSE_NAMES[self.along],
+            "best_sense": SENSE_NAMES[self.best_sense],
+            "best_sense_along": SENSE_NAMES[self.best_along],
+            "as_likely": [
+                {"sense": SENSE_NAMES[sense], "sense_along": SENSE_NAMES[along], "shift_deg": float(np.degrees(shift))}
+                for sense, along, shift in self.others
+            ],
+            "joint_at_raster_z_mm": self.raster_joint_mm,
+            "joint_at_raster_z_sigma_mm": self.raster_joint_sigma_mm,
+            "blur_sigma_mm": {"round": self.blur_mm[0], "along": self.blur_mm[1]},
+            "explained": self.explained,
+            "p": self.p,
+            "log_odds_of_angle": self.odds,
+            "gains": {
+                name: dict(zip(("bead_mv_per_mm", "density_mv", "bead_and_lift_per_mm"), gains.tolist(), strict=True))
+                for name, gains in zip(channels, self.gains, strict=True)
+            },
+        }
+
+    def maps(self, channels: Sequence[str]) -> dict[str, FloatArray]:
+        """(Z, P) by name: `joint_` and `material_` of each channel."""
+        return {
+            f"{part}_{name}": one
+            for part, both in (("joint", self.joint_mv), ("material", self.material_mv))
+            for name, one in zip(channels, both, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ joint whose zero angle is not known cannot be told to be related. With the zero 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.stats import pearsonr
@@ -113,6 +114,33 @@ class Relation:
     @property
     def related(self) -> bool:
         return self.p_all <= LEVEL and self.p_rotated <= LEVEL
+
+    @property
+    def verdict(self) -> str:
+        if self.related:
+            return "related"
+        if max(self.least_p, self.least_p_rotated) > LEVEL:
+            return (
+                "cannot be told, whatever had come out: too wide a search for so smooth a feature; mark the zero angle"
+            )
+        return "not told from chance"
+
+    def figures(self) -> dict[str, Any]:
+        """What correlate.json says of it, but for the power and the verdict."""
+        return {
+            "r": self.r,
+            "shift_deg": self.shift_deg,
+            "sense": self.sense,
+            "p": self.p,
+            "p_all": self.p_all,
+            "least_p": self.least_p,
+            "p_rotated": self.p_rotated,
+            "least_p_rotated": self.least_p_rotated,
+            "ordinary_p": self.ordinary_p,
+            "related": self.related,
+            "distance_correlation": self.distance,
+            "distance_p": self.distance_p,
+        }
 
 
 def moving_mean(phi_deg: FloatArray, values: FloatArray, width_deg: float) -> FloatArray:

@@ -62,6 +62,21 @@ class StripImage:
     section: Float32Array
     joint_mm: float
 
+    def figures(self) -> dict[str, float]:
+        """What strip.json says of it."""
+        return {
+            "W_mm": self.w_mm,
+            "W_sigma_mm": self.w_sigma_mm,
+            "T_mm": self.t_mm,
+            "T_sigma_mm": self.t_sigma_mm,
+            "wall_mm": self.wall_mm,
+            "width_mm": self.width_mm,
+            "haz": self.haz,
+            "haz_sigma": self.haz_sigma,
+            "lean_deg": self.lean_deg,
+            "joint_mm": self.joint_mm,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class _Pose:

@@ -7,11 +7,12 @@ source's two measures, a smoothed gradient and a moving deviation, each with wha
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -27,6 +28,7 @@ WINDOW_MM = 2.0  # of the moving deviation
 KERNEL = 3  # samples on either side: [1 1 1 -1 -1 -1]
 LEVELS_MIN = 4  # dogbones for alpha
 TOLD = 2.0  # sigma of alpha
+ANGLE_AGREES_DEG = 0.5  # a strength's dogbone is that of a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,31 @@ class Transmission:
     def inside(self) -> BoolArray:
         """(Z,) places of the joint."""
         return np.asarray((self.z_mm >= self.joint_mm[0]) & (self.z_mm <= self.joint_mm[1]))
+
+    def figures(self) -> dict[str, Any]:
+        """What transmission.json says of it beside the curves; each dogbone's greatest within the joint."""
+        return {
+            "shift_mm": self.shift_mm,
+            "shift_sigma_mm": self.shift_sigma_mm,
+            "joint_mm": list(self.joint_mm),
+            "depth": self.depth,
+            "depth_sigma": self.depth_sigma,
+            "gradient_per_mm": np.abs(self.gradient[:, self.inside]).max(axis=1),
+            "plain_gradient_per_mm": self.plain_gradient,
+            "deviation": self.deviation[:, self.inside].max(axis=1),
+            "plain_deviation": self.plain_deviation,
+            "alpha_per_mm": self.alpha,
+            "alpha_sigma_per_mm": self.alpha_sigma,
+            "thickness_taken_out": self.thickness_out,
+        }
+
+    def curves(self) -> dict[str, FloatArray]:
+        return {
+            "z_mm": self.z_mm,
+            "absorbance": self.absorbance,
+            "gradient": self.gradient,
+            "deviation": self.deviation,
+        }
 
 
 def transmission(z_mm: FloatArray, mv: FloatArray, thickness_mm: FloatArray | None = None) -> Transmission:
@@ -119,6 +146,25 @@ def transmission(z_mm: FloatArray, mv: FloatArray, thickness_mm: FloatArray | No
     )
 
 
+def thickness_along(
+    z_ct: FloatArray,
+    phi_deg: FloatArray,
+    wall: FloatArray,
+    fusion: FloatArray,
+    angles_deg: FloatArray,
+    z_mm: FloatArray,
+    joint_mm: tuple[float, float],
+) -> FloatArray:
+    """(n, Z) mm of wall along lines at (n,) angles whose joint is there, by the CT's (Z, P) wall and (P,) fusion
+    plane; NaN beyond the CT."""
+    out = []
+    for angle in angles_deg:
+        column = int(np.argmin(np.abs((phi_deg - angle + 180) % 360 - 180)))
+        at, of = z_mm - sum(joint_mm) / 2, z_ct - fusion[column]
+        out.append(np.interp(at, of, wall[:, column], left=np.nan, right=np.nan))
+    return np.stack(out)
+
+
 def _aligned(z: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) shifts that lay the lines on their median, their mean 0, and their sigma."""
     step = float(z[1] - z[0])
@@ -175,6 +221,12 @@ def _alpha(level: FloatArray, thickness: FloatArray) -> tuple[float, float]:
     slope = float(x @ y) / float(x @ x)
     rest = float(((y - slope * x) ** 2).sum()) / (known.sum() - 2)
     return -slope, float(np.sqrt(rest / float(x @ x)))
+
+
+def paired(at_deg: FloatArray, angles_deg: FloatArray) -> IntArray | None:
+    """(n,) which of the strengths at (m,) angles is each dogbone's; None where one has none."""
+    same = np.abs((at_deg[None, :] - angles_deg[:, None] + 180) % 360 - 180) < ANGLE_AGREES_DEG
+    return np.asarray(np.argmax(same, axis=1)) if same.any(axis=1).all() else None
 
 
 def against_strengths(depth: FloatArray, energy: FloatArray) -> tuple[float, float, float]:
