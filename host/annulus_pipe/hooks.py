@@ -1,16 +1,16 @@
 """The five hooks by which the core asks the wings, methods beside the rings that each have a folder of their own.
 
-A wing is a package in `wings`, which finds them. Whichever of these stand in its `__init__` are all that the core knows
-of it, and none costs an import before it is called (so no module of a wing may have such a name):
+A wing is a package in `wings`, which finds them. Whichever of these functions stand in its `__init__` are all that the
+core knows of it, and none costs an import before it is called (so no module of a wing may have such a name):
 
-    opens(scan, calibration, by) -> WingJob | None    a scan that is this wing's to measure; None: it is not
-    measured(job, executor, place, ..) -> WingResults from that job to its result files
-    watches(config, observers) -> None                a companion of a running head, which listens among its observers
-    adds(survey, scan, profiles) -> Survey            what a scan's recording says beside the frames
-    sheet(survey) -> Sheet | None                     that, drawn for the report
-    worlds() -> {name: seed -> World}                 pipes and heads of the twin
-    lights() -> {name: type}                          what a world may hold: projectors, and the ground around a pipe
-    app() -> {words: commands}                        commands, by their words: "bore", "calibrate fringe"
+    1  opens(scan, calibration, by) -> WingJob | None     a scan that is this wing's to measure; None: it is not
+       measured(job, executor, place, ..) -> WingResults  from that job to its result files
+    2  watches(config, observers) -> None                 a companion of a running head, among its observers
+    3  adds(survey, scan, profiles) -> Survey             what a scan's recording says beside the frames
+       sheet(survey) -> Sheet | None                      that, drawn for the report
+    4  worlds() -> {name: seed -> World}                  pipes and heads of the twin
+       lights() -> {name: type}                           what a world may hold: projectors, the ground around a pipe
+    5  app() -> {noun: commands}                          a noun of its own, or more commands of one that is there
 
 How each is used: docs/ARCHITECTURE.md, "A wing". The core imports this module and no wing (`lint-imports`).
 """
@@ -46,9 +46,8 @@ class WingJob(Protocol):
 
 
 class WingResults(NamedTuple):
-    """summary : as summary.json has it. lines : for people, before where the report lies;
-    None: those of any survey. ranges, made : how many windows
-    of the scan were measured apart, and how many of them now."""
+    """summary : as summary.json has it. lines : for people, before where the report lies; None: those of any survey.
+    ranges, made : how many windows of the scan were measured apart, and how many of them now."""
 
     summary: Mapping[str, Any]
     lines: Sequence[str] | None = None
