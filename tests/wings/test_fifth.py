@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from annulus_pipe.vocabulary import Finding
 from annulus_pipe.hooks import Sheet, WingResults
 
 
@@ -66,7 +65,7 @@ from annulus_pipe.cli.show import group
 app = group("Echoes of an ultrasonic head.")
 
 
-@app.command("listen")
+@app.command("listen", epilog="Example: annulus ultrasound listen")
 def listen() -> None:
     """Nothing yet."""
     print("silence")
