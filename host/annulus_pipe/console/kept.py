@@ -17,7 +17,6 @@ CLOSEUPS_MAX = 16 << 20  # bytes
 SEEN_MAX = 16 << 20  # bytes of pictures that saw a defect
 BUDGET = 56 << 20  # bytes of both and of the latest pictures, which make room: what is kept is soon all it will ever be
 SEEN_EACH = 4  # frames of a defect
-FRAMES_EACH = 12
 
 
 class Bounded:

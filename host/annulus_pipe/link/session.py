@@ -264,11 +264,6 @@ class LinkSession:
             out += self._wire(fresh)
         return bytes(out)
 
-    def next_due(self) -> int | None:
-        """When `pending` or `expire` will next have something to do, if nothing arrives before."""
-        dues = [w.due_ns for w in self._outstanding.values()] + [m.due_ns for m in self._missing.values()]
-        return min(dues, default=None)
-
     # ---- commands ----
 
     def _wire(self, sending: _Outstanding) -> bytes:

@@ -18,7 +18,6 @@ class Paper(StrEnum):
 
 
 FACES = (("DejaVuSans.ttf", "normal"), ("DejaVuSans-Bold.ttf", "bold"))
-BOXES = ("top-left", "top-right", "bottom-left", "bottom-right")
 DPI = 220  # of pictures: more than they have
 
 
