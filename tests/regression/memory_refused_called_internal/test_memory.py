@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from annulus_pipe import cli
+from annulus_pipe.cli import app as command
 
 SAID = [
     MemoryError(),
@@ -23,16 +23,16 @@ def test_a_lack_of_memory_is_one_line(
     def refused() -> None:
         raise error
 
-    monkeypatch.setattr(cli, "app", refused)
+    monkeypatch.setattr(command, "app", refused)
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        command.main()
     told = capsys.readouterr().err
     assert ended.value.code == 1 and told.startswith("annulus: not enough memory (") and told.count("\n") == 1
 
 
 def test_anything_else_is_still_ours(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     for error in (RuntimeError("a bug"), OSError(errno.ENOENT, "gone"), ImportError("no module")):
-        monkeypatch.setattr(cli, "app", lambda error=error: (_ for _ in ()).throw(error))
+        monkeypatch.setattr(command, "app", lambda error=error: (_ for _ in ()).throw(error))
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            command.main()
         assert ended.value.code == 70 and "internal error" in capsys.readouterr().err
