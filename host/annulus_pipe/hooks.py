@@ -15,11 +15,12 @@ core knows of it, and none costs an import before it is called (so no module of 
 How each is used: docs/ARCHITECTURE.md, "A wing". The core imports this module and no wing (`lint-imports`).
 """
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import Any, NamedTuple, Protocol, TypeVar
+
+from annulus_pipe.vocabulary import AnnulusError
 
 Pipe = TypeVar("Pipe")
 
@@ -55,18 +56,22 @@ class WingResults(NamedTuple):
     made: int = 0
 
 
-def _those_with(hook: str) -> Iterator[Callable[..., Any]]:
+def _wings() -> Sequence[ModuleType]:
     found: Sequence[ModuleType] = import_module("annulus_pipe.wings").found()  # by name: nothing here stands on them
-    return (getattr(wing, hook) for wing in found if hasattr(wing, hook))
+    return found
+
+
+def _those_with(hook: str) -> Iterator[Callable[..., Any]]:
+    return (getattr(wing, hook) for wing in _wings() if hasattr(wing, hook))
 
 
 def opened(scan: Any, calibration: Any = None, by: str = "") -> tuple[WingJob, Callable[..., WingResults]] | None:
     """The job of the wing whose the scan is, and what measures it; None where it is rings'. Raises AnnulusError as the
     wing does, one line."""
-    for opens in _those_with("opens"):
-        job = opens(scan, calibration, by)
+    for wing in _wings():
+        job = wing.opens(scan, calibration, by) if hasattr(wing, "opens") else None
         if job is not None:
-            return job, sys.modules[opens.__module__].measured
+            return job, wing.measured
     return None
 
 
@@ -86,5 +91,16 @@ def sheets(survey: Any) -> tuple[Sheet, ...]:
 
 
 def merged(hook: str) -> dict[str, Any]:
-    """`worlds`, `lights` or `app` of all wings."""
-    return {name: one for each in _those_with(hook) for name, one in each().items()}
+    """`worlds` or `lights` of all wings. Raises AnnulusError where two have one name."""
+    out: dict[str, Any] = {}
+    for each in _those_with(hook):
+        for name, one in each().items():
+            if name in out:
+                raise AnnulusError(f"wings: two have {name!r} among their {hook}, expected a name of its own")
+            out[name] = one
+    return out
+
+
+def nouns() -> Iterator[tuple[str, Any]]:
+    """`app` of all wings: several may have commands of one noun."""
+    return (pair for each in _those_with("app") for pair in each().items())

@@ -120,3 +120,27 @@ print([sheet.title for sheet in hooks.sheets(one.adds(survey, None, ()))])
 """
     done = run(fifth, code)
     assert "ultrasound listening" in done.stdout and "['Echoes']" in done.stdout, done.stderr
+
+
+def test_a_wing_that_cannot_be_loaded_is_one_line_and_two_may_share_a_noun(fifth: Path) -> None:
+    main = "from annulus_pipe.cli import main; main()"
+    other = fifth / "zeta"
+    other.mkdir()
+    shared = """
+from typer import Typer
+more = Typer()
+more.command("zeta")(lambda: print("zeta"))
+more.command("eta")(lambda: print("eta"))
+def app():
+    return {"calibrate": more}
+"""
+    (other / "__init__.py").write_text(shared)
+    assert "zeta" in run(fifth, main, "calibrate", "--help").stdout
+    assert run(fifth, main, "calibrate", "fringe", "--help").returncode == 0
+    (other / "__init__.py").write_text("def worlds():\n    return {'tank': None}\n")
+    done = run(fifth, main, "twin", "scan", "--world", "tank", "-o", str(fifth / "no"))
+    assert "two have 'tank' among their worlds" in done.stderr and done.stderr.count("\n") == 1
+    (other / "__init__.py").write_text("def (:")
+    done = run(fifth, main, "--version")
+    assert done.returncode == 1 and "wings/zeta: cannot be loaded (SyntaxError" in done.stderr
+    assert done.stderr.count("\n") == 1

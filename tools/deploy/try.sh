@@ -10,7 +10,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")/../.." && pwd)
 [ $# -ge 1 ] || { sed -n '2,8s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 folder=$(realpath -m "$1") scan=${2:-}
-image=${IMAGE:-localhost/annulus_pipe:try} # IMAGE=..: one that buildah has in FOLDER, which is not built again
+image=${IMAGE:-localhost/annulus:try} # IMAGE=..: one that buildah has in FOLDER, which is not built again
 mkdir -p "$folder"
 
 row() { printf '| %-58s | %8s | %s |\n' "$1" "$2" "$3"; }

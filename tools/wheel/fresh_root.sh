@@ -58,7 +58,7 @@ step() { # words, command, what is said of it (a command)
 : >"$folder/$suite-$arch.log"
 name=$(basename "$wheel")
 row "compilers" 0 "$(inside 'command -v gcc cc make clang || echo none')"
-step "pipx install $name" "pipx install ./$name" 'echo "$(du -sm /root/.local/*/pipx/venvs/annulus /root/.local/pipx/venvs/annulus 2>/dev/null | head -1 | cut -f1) MB of environment, wheel $(stat -c %s annulus_pipe-*.whl) bytes"'
+step "pipx install $name" "pipx install ./$name" 'echo "$(du -sm /root/.local/*/pipx/venvs/annulus-pipe /root/.local/pipx/venvs/annulus-pipe 2>/dev/null | head -1 | cut -f1) MB of environment, wheel $(stat -c %s annulus_pipe-*.whl) bytes"'
 step "annulus --version" "annulus --version" "annulus --version"
 step "annulus firmware info" "annulus firmware info" "annulus firmware info | head -3 | tr -s ' \\n' ' '"
 step "annulus firmware flash" "annulus firmware flash" "annulus firmware flash 2>&1"

@@ -23,7 +23,7 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
-from annulus_pipe.hooks import merged, opened
+from annulus_pipe.hooks import nouns, opened
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
@@ -49,7 +49,7 @@ for _noun in (head, calibrate, reference, pattern):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 for _noun in (archive, firmware, selftest, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
-for _name, _commands in merged("app").items():  # of a noun that is there, or a noun of the wing's own
+for _name, _commands in nouns():  # of a noun that is there, or a noun of the wing's own
     _there = next((one.typer_instance for one in app.registered_groups if one.name == _name), None)
     if _there is None:
         app.add_typer(_commands, name=_name)

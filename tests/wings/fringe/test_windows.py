@@ -16,10 +16,12 @@ from annulus_pipe.reprocess.executors import Executor, Processes, in_process
 from annulus_pipe.reprocess.ranges import FOLDER
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.twin.scan import write_scan
+from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.heads import series_world
 from annulus_pipe.wings.fringe.job import open_fringe
 from annulus_pipe.wings.fringe.measure.plate import Plate
-from annulus_pipe.wings.fringe.plate import reconstruct_fringe
+from annulus_pipe.wings.fringe.plate import measured_window, reconstruct_fringe
+from annulus_pipe.wings.fringe.windows import FringeWindowWork
 from tools.bench.dask_processes import Cluster
 
 PLACES = np.cumsum([1.0, 0.9, 1.2, 1.1] * 9)[:30]  # mm; of a flash: two windows, of which 18 flashes are in both
@@ -46,10 +48,15 @@ def test_a_window_is_the_same_bits_elsewhere_and_is_measured_once(tmp_path: Path
     assert same(apart, whole) and made == 2
     first, second = place.names(f"{FOLDER}/")
     held = (tmp_path / "kept" / second).read_bytes()
-    for content, new in ((held, 0), (held[:-500], 1), (held[:900] + bytes(200) + held[1100:], 1)):
+    entry = held.index(b"PK\x01\x02")  # of the archive's directory; a flag there says that a member is encrypted
+    locked = held[: entry + 8] + bytes([held[entry + 8] ^ 1]) + held[entry + 9 :]
+    for content, new in ((held, 0), (held[:-500], 1), (locked, 1)):
         (tmp_path / "kept" / second).write_bytes(content)
         again, made = measured(in_process, place)
         assert same(again, whole) and made == new
+    foreign = FringeWindowWork(job, measured_window, None, place, "another version")  # type: ignore[arg-type]
+    with pytest.raises(AnnulusError, match="with other code"):
+        foreign.ready()
     (tmp_path / "kept" / first).unlink()
     again, made = measured(in_process, place)
     assert same(again, whole) and made == 1

@@ -64,7 +64,7 @@ class FringeJob:
     flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
     findings: tuple[Finding, ...]
     by: By = "slide"
-    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.Job
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.WingJob
 
 
 def open_fringe(scan: Where, calibration: Where, by: By = "slide") -> FringeJob:

@@ -73,7 +73,7 @@ class FringePipeJob:
     roll_rad: tuple[float, ...] | None  # None where nobody said
     window: int  # flashes
     findings: tuple[Finding, ...]
-    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.Job
+    refuses: Mapping[str, str] = field(default_factory=dict)  # see hooks.WingJob
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +205,9 @@ class _PipePart:
         head |= {name: float(one) for name, one in head.items() if not one.ndim}
         first, second, third = (float(one) for one in arrays["noise"])
         own = {name: arrays[name] for name in _MAP}
+        shape = own["z_mm"].shape + own["phi_deg"].shape
+        if any(own[name].shape != shape for name in _MAP if name not in ("z_mm", "phi_deg", "slipped")):
+            raise ValueError(f"maps of other shapes than {shape}")
         return _PipePart(PipeMap(**own, head=PlacedHead(job.eyes, **head), noise=(first, second, third)))
 
 

@@ -185,6 +185,11 @@ class _PlatePart:
     def of(job: FringeJob, arrays: Arrays) -> "_PlatePart":
         own = {name: arrays[name] if arrays[name].ndim else arrays[name].item() for name in _PART}
         lit = "found.flag" in arrays
+        if (
+            len({len(own[name]) for name in ("place_mm", "sigma_mm", "slipped")}) != 1
+            or own["i"].shape != own["j"].shape
+        ):
+            raise ValueError("columns of different lengths")
         found = Heights(**{name: arrays[f"found.{name}"] for name in _HEIGHTS}) if lit else None
         return _PlatePart(**own, found=found)
 

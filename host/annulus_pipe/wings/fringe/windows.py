@@ -9,7 +9,6 @@ import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 
 Arrays = Mapping[str, Any]
-BYTES_MAX = 1 << 30  # of one array of a kept window, bytes: a map of 24 frames of a camera of 2 Mpixel is 30 MB
 
 
 class WindowPart(Protocol):
@@ -63,13 +61,14 @@ def _renumbered(flash: Any, where: Mapping[int, int]) -> Any:
 @dataclass(frozen=True)
 class FringeWindowWork(Generic[Job, Part]):
     """Work of the executors: a window to its part. job : its scan's frames left out. measure, read : functions of a
-    module. place : where parts are kept; None: they come back whole. beside : what one process keeps from window to
-    window; it does not travel."""
+    module. place : where parts are kept; None: they come back whole. code : digest of what measures. beside : what one
+    process keeps from window to window; it does not travel."""
 
     job: Job
     measure: Callable[[Job, FringeWindow, dict[str, Any]], Part]
     read: Callable[[Job, Arrays], Part]
     place: StoragePath | None = None
+    code: str = field(default_factory=lambda: digest_of("wings/fringe"))  # of who asks: it travels
     beside: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -78,7 +77,11 @@ class FringeWindowWork(Generic[Job, Part]):
     def ready(self) -> Callable[[FringeWindow], tuple[str, bool, Part | None]]:
         """(window) -> name of its file, whether it was made now, and the part where nothing is kept."""
         place = self.place
-        given = "" if place is None else address(measured_with(), digest_of("wings/fringe"), self.job)
+        if self.code != digest_of("wings/fringe"):
+            raise AnnulusError(
+                "a worker measures fringes with other code than the command's. Expected one version on all."
+            )
+        given = "" if place is None else address(measured_with(), self.code, self.job)
 
         def do(one: FringeWindow) -> tuple[str, bool, Part | None]:
             if place is None:
@@ -103,10 +106,10 @@ class FringeWindowWork(Generic[Job, Part]):
         if content is None:
             raise AnnulusError(f"{self.place}: {name} is no longer there. Expected what was measured a moment ago.")
         try:
-            require_plain_npz(io.BytesIO(content), {})
+            require_plain_npz(io.BytesIO(content))
             with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 return self.read(self.job, {name: arrays[name] for name in arrays.files})
-        except (OSError, EOFError, ValueError, KeyError, TypeError, IndexError, BadZipFile) as error:
+        except Exception as error:  # whatever a bent file makes of zipfile and NumPy: it is measured anew
             raise AnnulusError(f"{self.place}: {name}: not a window of this scan ({error})") from None
 
     def of(self, executor: Executor, one: FringeWindow) -> tuple[Part, bool]:
