@@ -121,8 +121,8 @@ def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pyt
     held = []
     read = module._WindowFrames.of
 
-    def counted(self: Any, one: Any, start: int) -> Any:
-        out = read(self, one, start)
+    def counted(self: Any, one: Any) -> Any:
+        out = read(self, one)
         held.append(len(self._held))
         return out
 
