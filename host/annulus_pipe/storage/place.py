@@ -105,7 +105,7 @@ class StoragePath:
     def read(self, name: str) -> bytes | None:
         """A file's content; None where there is no such file."""
         file = self._of(name)
-        with _told_of(file, "read"):
+        with _errors_named(file, "read"):
             try:
                 return read_whole(file, RESULT_MAX)
             except FileNotFoundError:
@@ -114,7 +114,7 @@ class StoragePath:
     def write(self, name: str, content: bytes) -> None:
         """A file that appears whole or not at all, in place of one that was there."""
         file = self._of(name)
-        with _told_of(file, "written"):
+        with _errors_named(file, "written"):
             if isinstance(file, Url):
                 write_remote(file, content)
                 return
@@ -136,7 +136,7 @@ class StoragePath:
         within = prefix.rpartition("/")[0]
         folder = self._of(within) if within else self._where
         before = f"{within}/" if within else ""
-        with _told_of(folder, "listed"):
+        with _errors_named(folder, "listed"):
             if isinstance(folder, Url):
                 found = [before + name for name in found_below(folder)]
             else:
@@ -147,7 +147,7 @@ class StoragePath:
     def remove(self, name: str) -> None:
         """What is not there is removed."""
         file = self._of(name)
-        with _told_of(file, "removed"):
+        with _errors_named(file, "removed"):
             if isinstance(file, Url):
                 remove_remote(file)
             else:
@@ -169,12 +169,12 @@ def writer(place: "StoragePath | Path | str | Url", name: str) -> Iterator[IO[by
     target = place if isinstance(place, StoragePath) else StoragePath(place)
     file = target._of(name)
     if isinstance(file, Path):
-        with _told_of(file, "written"):
+        with _errors_named(file, "written"):
             file.parent.mkdir(parents=True, exist_ok=True)
             with written_whole(file) as out:
                 yield out
         return
-    with _told_of(file, "written"), tempfile.NamedTemporaryFile(prefix="annulus-") as spool:
+    with _errors_named(file, "written"), tempfile.NamedTemporaryFile(prefix="annulus-") as spool:
         yield spool
         spool.flush()
         write_remote(file, Path(spool.name))
@@ -186,7 +186,7 @@ def _is_unfinished(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def _told_of(file: Where, what: str) -> Iterator[None]:
+def _errors_named(file: Where, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:

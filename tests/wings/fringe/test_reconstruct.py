@@ -100,13 +100,13 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     assert result.to_dict()["sigma"]["across_mm"] < 0.1
     assert json.loads(out.read_text())["pattern"]["rms_rad"] == pytest.approx(result.found.rms_rad)
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan"), out))
-    told = np.isfinite(plate.height_mm)
+    measured = np.isfinite(plate.height_mm)
     assert plate.completeness > 0.95
     assert np.nanmedian(plate.height_mm) == pytest.approx(1.0, abs=0.02)
-    off = (plate.height_mm[told] - 1.0) / plate.sigma_mm[told]
+    off = (plate.height_mm[measured] - 1.0) / plate.sigma_mm[measured]
     assert np.mean(np.abs(off) < 2) > 0.9
     summary = write_plate(plate, ScanAccount("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
-    assert summary["points"] == told.sum()
+    assert summary["points"] == measured.sum()
     with np.load(tmp_path / "out" / "depth.npz") as depth:
         assert depth["height_mm"].shape == (len(depth["y_mm"]), len(depth["x_mm"])) == depth["sigma_mm"].shape
     page = (tmp_path / "out" / "report.html").read_text()
@@ -184,9 +184,9 @@ def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
     plate = reconstruct_fringe(open_fringe(folder, head, "cameras"))
     assert plate.by == "cameras"
     assert plate.completeness > 0.9
-    told = plate.height_mm[np.isfinite(plate.height_mm)]
-    assert np.median(told) == pytest.approx(1.0, abs=0.02)
-    off = (told - 1.0) / plate.sigma_mm[np.isfinite(plate.height_mm)]
+    measured_mm = plate.height_mm[np.isfinite(plate.height_mm)]
+    assert np.median(measured_mm) == pytest.approx(1.0, abs=0.02)
+    off = (measured_mm - 1.0) / plate.sigma_mm[np.isfinite(plate.height_mm)]
     assert np.mean(np.abs(off) < 2) > 0.9
     summary = write_plate(plate, ScanAccount("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
     assert summary["by"] == "cameras"
@@ -215,23 +215,23 @@ def test_what_cannot_be_measured_by_cameras_is_refused_in_one_line(
     folder, path = scan(tmp_path / "scan", PLACES[:4]), calibration(tmp_path)
     data = json.loads(path.read_text())
 
-    def told(**changes: Any) -> str:
+    def refusal(**changes: Any) -> str:
         path.write_text(json.dumps({**data, **changes}))
         given = ["--calibration", str(path), "--by", "cameras", "-o", str(tmp_path / "out")]
         monkeypatch.setattr("sys.argv", ["annulus", "reconstruct", str(folder), *given])
         with pytest.raises(SystemExit) as left:
             main()
-        said = capsys.readouterr().err
+        printed = capsys.readouterr().err
         assert left.value.code == 1
-        assert said.count("\n") == 1
-        return said
+        assert printed.count("\n") == 1
+        return printed
 
-    assert "has 1 camera, expected two" in told(cameras=data["cameras"][:1])
-    assert 'no "pattern.projector", expected the slide as it was designed' in told(pattern={"kind": "fringe"})
+    assert "has 1 camera, expected two" in refusal(cameras=data["cameras"][:1])
+    assert 'no "pattern.projector", expected the slide as it was designed' in refusal(pattern={"kind": "fringe"})
     rings = {"kind": "rings", "centre_mm": [0, 0, 0], "rotation": np.eye(3).tolist(), "period_mm": 8}
     pipe = {"kind": "fringe", "projector": {**rings, "nominal_radius_mm": 100}}
-    assert "its head lights a pipe, expected" in told(pattern=pipe)
-    assert "its head projects no fringes, expected a head that projects fringes" in told(pattern={"kind": "lines"})
+    assert "its head lights a pipe, expected" in refusal(pattern=pipe)
+    assert "its head projects no fringes, expected a head that projects fringes" in refusal(pattern={"kind": "lines"})
     monkeypatch.setattr("sys.argv", ["annulus", "reconstruct", str(folder), "--by", "cameras", "-o", "out"])
     with pytest.raises(SystemExit):
         main()
@@ -245,12 +245,12 @@ def test_a_motion_told_too_long_is_said(tmp_path: Path) -> None:
     folder = scan(tmp_path / "scan", np.arange(10) * 1.3, texture=0.0, specks=0.2, heads=(LEFT,))
     text = (folder / "frames.csv").read_text().splitlines()
     rows = [line.rsplit(",", 1) for line in text[1:]]
-    told = [text[0], *(f"{head},{1.05 * float(x)}" for head, x in rows)]
-    (folder / "frames.csv").write_text("\n".join(told) + "\n")
+    reported = [text[0], *(f"{head},{1.05 * float(x)}" for head, x in rows)]
+    (folder / "frames.csv").write_text("\n".join(reported) + "\n")
     plate = reconstruct_fringe(open_fringe(folder, calibration(tmp_path)))
-    said = [one.text for one in plate.findings if one.kind == "stretched"]
-    assert len(said) == 1
-    assert float(said[0].split("went about ")[1].split()[0]) == pytest.approx(1 / 1.05, abs=0.01)
+    remarks = [one.text for one in plate.findings if one.kind == "stretched"]
+    assert len(remarks) == 1
+    assert float(remarks[0].split("went about ")[1].split()[0]) == pytest.approx(1 / 1.05, abs=0.01)
 
 
 def turned(one: HeadCamera, deg: float) -> list[dict[str, Any]]:
@@ -303,9 +303,9 @@ def test_cameras_that_differ_are_said_and_sigma_has_it(
 ) -> None:
     path, true = right
     plate = reconstruct_fringe(open_fringe(path, calibration(tmp_path, **changes)))
-    said = [one.text for one in plate.findings if one.kind == "cameras-apart"]
-    assert len(said) == 1
-    times = float(said[0].split("differ by ")[1].split()[0])
+    remarks = [one.text for one in plate.findings if one.kind == "cameras-apart"]
+    assert len(remarks) == 1
+    times = float(remarks[0].split("differ by ")[1].split()[0])
     assert times > 3
     assert np.nanmedian(plate.sigma_mm) > 0.9 * times * np.nanmedian(true.sigma_mm)
     off = np.abs(plate.height_mm - 1.0)[np.isfinite(plate.height_mm)]
@@ -326,8 +326,8 @@ def test_another_slide_is_no_height(tmp_path: Path) -> None:
 def test_saturated_frames_are_said_and_not_told(tmp_path: Path) -> None:
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", gain=1.7), calibration(tmp_path)))
     assert any(finding.kind == "saturated" for finding in plate.findings)
-    told = np.isfinite(plate.height_mm)
-    assert np.abs(np.median(plate.height_mm[told]) - 1.0) < 0.1
+    measured = np.isfinite(plate.height_mm)
+    assert np.abs(np.median(plate.height_mm[measured]) - 1.0) < 0.1
 
 
 def test_a_curve_that_nobody_told_is_found_by_the_wave(tmp_path: Path) -> None:

@@ -50,19 +50,19 @@ def scan(folder: Path, columns: str, rows: list[str], grey: int = 40, size: int 
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "text"),
     [(["0", "1"], "2 frames with the projector, expected at least 3"), (["5"] * 4, "the head did not move")],
 )
-def test_a_scan_that_shifts_no_phase_is_one_line(tmp_path: Path, rows: list[str], said: str) -> None:
-    with pytest.raises(AnnulusError, match=said):
+def test_a_scan_that_shifts_no_phase_is_one_line(tmp_path: Path, rows: list[str], text: str) -> None:
+    with pytest.raises(AnnulusError, match=text):
         open_fringe_pipe(scan(tmp_path / "scan", "z_mm", rows), calibration(tmp_path))
 
 
 def test_darkness_a_glare_and_anothers_frames_are_one_line(tmp_path: Path) -> None:
     head = calibration(tmp_path)
-    for grey, size, said in ((0, 360, "lit"), (255, 360, "saturated"), (40, 300, "camera 0 is 360x360 but")):
+    for grey, size, text in ((0, 360, "lit"), (255, 360, "saturated"), (40, 300, "camera 0 is 360x360 but")):
         job = open_fringe_pipe(scan(tmp_path / f"{grey}-{size}", "z_mm", ["0", "1", "2", "3"], grey, size), head)
-        with pytest.raises(AnnulusError, match=said):
+        with pytest.raises(AnnulusError, match=text):
             reconstruct_fringe_pipe(job)
 
 
@@ -87,20 +87,20 @@ def test_slides_in_turn_need_slots_and_a_head_that_is_one(tmp_path: Path) -> Non
     head = calibration(tmp_path, pattern={"kind": "fringe", "projectors": lamps})
     with pytest.raises(AnnulusError, match="no frame says its slot in the lamp cycle"):
         open_fringe_pipe(scan(tmp_path / "plain", "z_mm", [f"{k}" for k in range(8)]), head)
-    told = scan(tmp_path / "told", "z_mm,slot", [f"{k},{k % 3 if k else ''}" for k in range(13)])
-    job = open_fringe_pipe(told, head)
+    placed = scan(tmp_path / "told", "z_mm,slot", [f"{k},{k % 3 if k else ''}" for k in range(13)])
+    job = open_fringe_pipe(placed, head)
     assert [eye for flash in job.flashes for eye, _ in flash] == [1, 0] * 4  # slots 0 and 2; 1 is no slide's
     assert [finding.kind for finding in job.findings] == ["slot"]
-    for wrong, said in (
+    for wrong, text in (
         ({"cameras": [3]}, "names 3, which is no camera"),
         ({"slots": ["x"]}, "expected a whole number"),
     ):
         bad = calibration(tmp_path, pattern={"kind": "fringe", "projectors": [{**lamps[0], **wrong}]})
-        with pytest.raises(AnnulusError, match=said):
-            open_fringe_pipe(told, bad)
+        with pytest.raises(AnnulusError, match=text):
+            open_fringe_pipe(placed, bad)
     both = calibration(tmp_path, pattern={"kind": "fringe", "projector": slide, "projectors": lamps})
     with pytest.raises(AnnulusError, match="expected one of them"):
-        open_fringe_pipe(told, both)
+        open_fringe_pipe(placed, both)
 
 
 def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

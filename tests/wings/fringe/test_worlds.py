@@ -67,9 +67,9 @@ def test_every_camera_sees_the_phase_of_its_slide(make: Callable[[], World]) -> 
         assert lit.mean() > 0.1
         swing = (grey / np.maximum(dc, 1.0) * (1 + light.modulation) - 1) / light.modulation
         inside = lit & np.isfinite(phase)
-        told = (swing * np.exp(-1j * phase))[inside].mean() * 2
-        assert abs(np.angle(told)) < 0.02  # rad; 0.003 measured, a sensor's mosaic included
-        assert 0.8 < abs(told) < 1.02
+        observed = (swing * np.exp(-1j * phase))[inside].mean() * 2
+        assert abs(np.angle(observed)) < 0.02  # rad; 0.003 measured, a sensor's mosaic included
+        assert 0.8 < abs(observed) < 1.02
         assert np.corrcoef(swing[inside], np.cos(phase[inside]))[0, 1] > 0.98
 
 
@@ -84,8 +84,8 @@ def test_a_slot_lights_one_slide_and_no_neighbours() -> None:
 @MODELS
 def test_a_file_says_the_head_as_it_is(make: Callable[[], World]) -> None:
     world = make()
-    told = json.loads(json.dumps(world.calibration().to_dict()))
-    head = FringeHead.from_dict(told)
+    written = json.loads(json.dumps(world.calibration().to_dict()))
+    head = FringeHead.from_dict(written)
     light = light_of(world)
     eyes = head.eyes()
     pairs = [(k, n) for k, one in enumerate(light.slides) for n in one.cameras or range(len(world.cameras))]

@@ -17,7 +17,7 @@ from annulus_pipe.job import WORDS, JobSheet
 from annulus_pipe.untrusted import one_line, printable, shown
 from annulus_pipe.vocabulary import AnnulusError
 
-Told = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 _ID = re.compile(r"[0-9a-f]{4,12}")
 _DAY = re.compile(r"(\d{4})(-\d\d)?(-\d\d)?")
 SHOWN_MAX = 5  # surveys that a message names
@@ -48,7 +48,7 @@ def add(
     results: Sequence[Path],
     job: JobSheet | None = None,
     replaces: str | None = None,
-    progress: Told = lambda what, done, total: None,
+    progress: Progress = lambda what, done, total: None,
 ) -> list[Added | Refused]:
     """Folders of results into the catalogue, which is made where there is none; one that cannot be read does not keep
     out the others. job: goes over what each says. replaces: the survey in whose place the only one counts.
@@ -126,7 +126,7 @@ def listed(
         return rows, 0 if superseded else old, catalogue.damage
 
 
-def checked(archive: Path, progress: Told = lambda what, done, total: None) -> Iterator[str]:
+def checked(archive: Path, progress: Progress = lambda what, done, total: None) -> Iterator[str]:
     """What is wrong with each survey's own files, read to their ends and held against their names. One line each."""
     root = require(archive)
     ids = survey_ids(root)
@@ -150,13 +150,13 @@ def results_of(archive: Path, name: str) -> Path:
     if not folder.is_dir():
         raise AnnulusError(f"{folder}: the results of {row['survey']} are not there any more, expected their folder")
     now = read_survey(folder)
-    job = {name: row[name] for name in _TOLD}  # a job given at adding is of the survey, not of the folder
+    job = {name: row[name] for name in _OF_JOB}  # a job given at adding is of the survey, not of the folder
     if digest({**now.row, **job}, now.stations, now.defects, now.features) != row["digest"]:
         raise AnnulusError(f"{folder}: has other results than those of survey {row['survey']} by now; add them again")
     return folder
 
 
-_TOLD = frozenset(WORDS) - {"nominal_diameter_mm"} | {"date_of", "job_diameter_mm"}
+_OF_JOB = frozenset(WORDS) - {"nominal_diameter_mm"} | {"date_of", "job_diameter_mm"}
 
 
 def _found(root: Path, name: str) -> Row:

@@ -42,7 +42,7 @@ class FringePipeCalibration:
     head: FringeHead
     found: CleanPipeFit
     curve: Transfer
-    curve_told: bool
+    curve_stated: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; mm, degrees and rad."""

@@ -38,13 +38,13 @@ SATURATED_MAX = 0.05  # share of the tiles' light
 
 @dataclass(frozen=True, slots=True)
 class FringeCalibration:
-    """What was found, how well, and what to look at. curve : of the camera, as used; curve_told : whether the file said
-    it."""
+    """What was found, how well, and what to look at. curve : of the camera, as used; curve_stated : whether the
+    file has it."""
 
     head: FringeHead
     found: PlateCalibration
     curve: Transfer
-    curve_told: bool
+    curve_stated: bool
     frames: int
     heights_mm: tuple[float, ...]
     warnings: tuple[str, ...]

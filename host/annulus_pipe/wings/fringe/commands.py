@@ -109,7 +109,7 @@ def _show_plate(result: "FringeCalibration", figures: Mapping[str, Any], out: Pa
         f"{max(sigma['tilt_deg']):.5f} deg, phase {slide['phase0']:.4f} +- {sigma['phase0']:.4f} rad"
     )
     curve = figures["transfer"]
-    source = "as the file says" if result.curve_told else "the file says none"
+    source = "as the file says" if result.curve_stated else "the file says none"
     print(
         f"curve      {curve['sensor']}, black {curve['black']:g}, gamma {curve.get('gamma', 1.0):.3f} taken out "
         f"({source}); what is left looks like a gamma of {figures['gamma']:.4f} +- {figures['gamma_sigma']:.4f}"
@@ -132,7 +132,7 @@ def _show_pipe(result: "FringePipeCalibration", figures: Mapping[str, Any], out:
     print(f"period     {projector['period_mm']:.4f} +- {sigma['period_mm']:.4f} mm on that wall")
     print(f"phase      {projector['phase0']:.4f} +- {sigma['phase0']:.4f} rad")
     shown = _harmonics(projector, sigma)
-    source = "as the file says" if result.curve_told else "the file says none"
+    source = "as the file says" if result.curve_stated else "the file says none"
     print(f"harmonics  {shown}, taken out; curve {figures['transfer']['sensor']} ({source})")
     for warning in figures["warnings"]:
         print(f"warning    {warning}")
