@@ -4,7 +4,7 @@ A wing is a package in `wings`, which finds them. Whichever of these functions s
 core knows of it, and none costs an import before it is called (so no module of a wing may have such a name):
 
     1  opens(scan, calibration, by) -> WingJob | None     a scan that is this wing's to measure; None: it is not
-       measured(job, executor, place, ..) -> WingResults  from that job to its result files
+       measured(job, executor, place, out, context, ..) -> WingResults  to its result files
     2  watches(config, observers) -> None                 a companion of a running head, among its observers
     3  adds(survey, scan, profiles) -> Survey             what a scan's recording says beside the frames
        sheet(survey) -> Sheet | None                      that, drawn for the report
@@ -44,6 +44,20 @@ class WingJob(Protocol):
 
     @property
     def refuses(self) -> Mapping[str, str]: ...
+
+
+class WingContext(Protocol):
+    """What results carry beside what was measured: source, as a person named the scan; origin, job.Origin; limits of a
+    verdict, wall.conformity.Criteria or None."""
+
+    @property
+    def source(self) -> str: ...
+
+    @property
+    def origin(self) -> Any: ...
+
+    @property
+    def limits(self) -> Any: ...
 
 
 class WingResults(NamedTuple):

@@ -129,6 +129,12 @@ def test_no_room_of_the_core_may_know_a_wing() -> None:
     assert set(forbidden["source_modules"]) == core
 
 
+def test_of_a_wing_only_its_commands_know_the_command_line() -> None:
+    files = sorted((ROOMS / "wings").rglob("*.py"))
+    knows = [path for path in files if "annulus_pipe.cli" in path.read_text(encoding="utf-8")]
+    assert knows and not [path.name for path in knows if not path.name.endswith("commands.py")]
+
+
 def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
     layers = layers_checked()
     floors = {

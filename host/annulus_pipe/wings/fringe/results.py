@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from annulus_pipe.hooks import WingResults
+from annulus_pipe.hooks import WingContext, WingResults
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, off, quoted, span
 from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.reprocess.executors import Executor
@@ -15,9 +15,6 @@ from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.pipe import FringePipeJob, MeasuredPipe, Progress, reconstruct_fringe_pipe
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from annulus_pipe.wings.fringe.plate_page import write_plate
-
-if TYPE_CHECKING:
-    from annulus_pipe.cli.results import ReportContext
 
 BY = {
     "slide": "the slide: its calibrated phase says the height",
@@ -30,7 +27,7 @@ def measured(
     executor: Executor,
     place: StoragePath,
     out: Path,
-    account: "ReportContext",
+    context: WingContext,
     *,
     progress: Progress,
     paper: Paper | None,
@@ -39,18 +36,18 @@ def measured(
     """All result files, into `out`. place, keep : windows are kept there, and found again."""
     kept = place if keep else None
     if isinstance(job, FringePipeJob):
-        return _of_pipe(reconstruct_fringe_pipe(job, progress, executor, kept), job, account, out, paper)
-    return _of_plate(reconstruct_fringe(job, progress, executor, kept), job, account, out, paper)
+        return _of_pipe(reconstruct_fringe_pipe(job, progress, executor, kept), job, context, out, paper)
+    return _of_plate(reconstruct_fringe(job, progress, executor, kept), job, context, out, paper)
 
 
 def _of_pipe(
-    measured: MeasuredPipe, job: FringePipeJob, account: "ReportContext", out: Path, paper: Paper | None
+    measured: MeasuredPipe, job: FringePipeJob, context: WingContext, out: Path, paper: Paper | None
 ) -> WingResults:
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
-    verdict = None if account.limits is None else judge(measured.survey, account.limits)
+    verdict = None if context.limits is None else judge(measured.survey, context.limits)
     rows = ScanAccount(
-        account.source, counts, drops, measured.timing_ms, measured.findings, origin=account.origin, verdict=verdict
+        context.source, counts, drops, measured.timing_ms, measured.findings, origin=context.origin, verdict=verdict
     )
     seen = measured.map
     depth = {
@@ -67,10 +64,10 @@ def _of_pipe(
     )
 
 
-def _of_plate(plate: Plate, job: FringeJob, account: "ReportContext", out: Path, paper: Paper | None) -> WingResults:
+def _of_plate(plate: Plate, job: FringeJob, context: WingContext, out: Path, paper: Paper | None) -> WingResults:
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
-    summary = write_plate(plate, ScanAccount(account.source, counts, drops, plate.timing_ms), out, paper=paper)
+    summary = write_plate(plate, ScanAccount(context.source, counts, drops, plate.timing_ms), out, paper=paper)
     return WingResults(summary, tuple(_lines(summary, counts, plate.by)), plate.windows, plate.made)
 
 
