@@ -45,9 +45,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, calibrate, reference, pattern):
-    app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
-for _noun in (archive, firmware, selftest, twin, record):
+for _noun in (head, calibrate, reference, pattern, archive, firmware, selftest, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 for _name, _commands in nouns():  # of a noun that is there, or a noun of the wing's own
     _there = next((one.typer_instance for one in app.registered_groups if one.name == _name), None)

@@ -73,6 +73,7 @@ def _sources() -> str:
     return _digest(root, [root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")])
 
 
+@functools.cache
 def digest_of(folder: str) -> str:
     """Of the sources in a folder of the package: what a wing measures with."""
     root = Path(str(resources.files("annulus_pipe")))
