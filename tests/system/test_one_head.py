@@ -14,6 +14,7 @@ import pytest
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.demo import demo_config
+from annulus_pipe.hooks import sheets
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.reprocess import survey_of
 from annulus_pipe.sensors.fdc2214 import Ads1115, Fdc2214, Tank
@@ -83,4 +84,5 @@ def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path
     (bore,) = [feature for feature in pipe.features if feature.kind is FeatureKind.CROSS_BORE]
     assert bore.z_mm == pytest.approx(BORE_MM, abs=25.0) and bore.length_mm == pytest.approx(2 * RADIUS_MM, abs=40.0)
     assert bore.arc_deg == 360.0 and bore.measured("probability_percent") > 90.0
-    assert pipe.lane is not None and "taken out" in pipe.lane.remark
+    (behind,) = sheets(pipe)  # what the sectors read, as the report draws it
+    assert "taken out" in behind.note
