@@ -33,8 +33,11 @@ $(UV):
 	$(UV) sync --frozen --all-extras --all-groups --quiet
 	@touch .venv/.synced $@
 
+# The controller's C code on a simulated board, and the loops of the measuring methods: into host/annulus_pipe/shipped.
 native:
+	@tools/need.sh gcc
 	@$(MAKE) --silent -C firmware native
+	@$(MAKE) --silent -C host/native
 
 # The images for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed, and rig.uf2 for a second one that tests
 # the first; both UF2 also in host/annulus_pipe/shipped.
@@ -100,7 +103,7 @@ lint: setup-all generated
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.c' 'firmware/*.h' 'tests/*.c' 'tests/*.h')
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'firmware/*.[ch]' 'host/native/*.[ch]' 'tests/*.[ch]')
 
 generated:
 	python3 protocol/generate.py --check
@@ -142,4 +145,4 @@ mutants: setup-all firmware emulator
 	$(BIN)/python tools/mutants.py
 
 clean:
-	rm -rf .venv .tools firmware/build tools/emulator/node_modules dist
+	rm -rf .venv .tools firmware/build host/native/build tools/emulator/node_modules dist

@@ -10,6 +10,7 @@ want() { # package, test that is true when it is there
 for need in "$@"; do
 	case "$need" in
 	python3-venv) want python3-venv 'python3 -c "import ensurepip, venv"' ;;
+	gcc) want gcc 'command -v gcc' && want libc6-dev 'ls /usr/include/math.h' && want make 'command -v make' ;;
 	clang) want clang 'command -v clang || command -v clang-14' ;;
 	libclang-rt) want libclang-rt-14-dev 'ls /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a' ;;
 	gcc-arm-none-eabi) want gcc-arm-none-eabi 'command -v arm-none-eabi-gcc' ;;

@@ -12,6 +12,7 @@ from pathlib import Path
 from annulus_pipe.vocabulary import AnnulusError
 
 NATIVE, UDEV, MANUAL = "libannulus_native.so", "99-annulus.rules", "manual"
+LOOPS = "loops-"  # of each kind of processor one library of the methods' loops
 IMAGE, IMAGE_RP2350 = "annulus.uf2", "annulus-rp2350.uf2"
 RIG = "rig.uf2"  # of a second Pico that tests the first
 UNIT, CONSOLE_UNIT = "annulus.service", "annulus-console.service"
@@ -33,9 +34,13 @@ def shipped(name: str) -> Path:
     """Where one of them lies. Raises AnnulusError where it is missing, with what makes it."""
     path = _HERE / name
     if not path.exists():
-        made = f"In a checkout `{_MADE_BY[name]}` makes it" if name in _MADE_BY else "It is part of the checkout"
+        made = f"In a checkout `{_made_by(name)}` makes it" if _made_by(name) else "It is part of the checkout"
         raise AnnulusError(f"{path}: is missing. {made}; a wheel has it: install annulus again.")
     return path
+
+
+def _made_by(name: str) -> str:
+    return "make setup" if name.startswith(LOOPS) else _MADE_BY.get(name, "")
 
 
 def is_shipped(name: str) -> bool:

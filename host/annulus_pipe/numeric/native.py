@@ -1,0 +1,153 @@
+"""Loops over pixels and points, in C: host/native, built by `make setup` and part of a wheel.
+
+    _deviations = door("deviations", "f8[n,k,3] points", "f8[3,3] rotation", "f8 radius", "f8[n,k]! out")
+    _deviations(points, rotation, radius, out)
+
+A door is declared where it is used, by the name and the arguments that its function has in C. `f8[n,k]` is an array in
+order of memory, its letters are sizes that must agree between the arrays of a call; `!` says that it is written; a
+`?`, that it may be None. Every call is checked against that before any memory is touched, and the sizes are handed to C
+after the arguments, in the order in which their letters first appear. tests/unit/numeric/test_native.py holds the
+declarations to the C.
+
+One library is loaded, the best that the processor can run; which one changes no bit of any result. ANNULUS_LOOPS names
+another ("x86-64-v2"), for tests.
+"""
+
+import ctypes
+import functools
+import os
+import platform
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from annulus_pipe.shipped import LOOPS, shipped
+from annulus_pipe.untrusted import one_line
+from annulus_pipe.vocabulary import AnnulusError
+
+LEVELS = {2: "x86-64-v2", 3: "x86-64-v3", 4: "x86-64-v4", 0: "armv8-a"}
+CHOSEN = "ANNULUS_LOOPS"
+_KINDS: dict[str, Any] = {
+    "f8": ctypes.c_double,
+    "f4": ctypes.c_float,
+    "i8": ctypes.c_int64,
+    "i4": ctypes.c_int32,
+    "i2": ctypes.c_int16,
+    "u8": ctypes.c_uint64,
+    "u4": ctypes.c_uint32,
+    "u2": ctypes.c_uint16,
+    "u1": ctypes.c_uint8,
+    "b1": ctypes.c_bool,
+}
+_ARGUMENT = re.compile(r"(?P<kind>\w\d)(\[(?P<sizes>[\w, ]*)\](?P<written>!?)(?P<optional>\??))? (?P<name>\w+)")
+
+
+def library_name(level: str) -> str:
+    return f"{LOOPS}{level}.so"
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """The loops for this processor. Raises AnnulusError where they were not built or cannot be loaded."""
+    if chosen := os.environ.get(CHOSEN):
+        return _load(shipped(library_name(chosen)))
+    usual = _load(shipped(library_name(LEVELS[2 if platform.machine() == "x86_64" else 0])))
+    usual.processor_level.restype = ctypes.c_int64
+    level = LEVELS.get(usual.processor_level(), LEVELS[2])
+    return _load(shipped(library_name(level)))
+
+
+def _load(path: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise AnnulusError(
+            f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
+        ) from None
+
+
+class Argument:
+    """One argument of a door, as declared."""
+
+    def __init__(self, text: str) -> None:
+        match = _ARGUMENT.fullmatch(text)
+        if match is None:
+            raise ValueError(f"{text!r}: expected an argument like 'f8[n,3]! out'")
+        self.text, self.name, self.kind = text, match["name"], match["kind"]
+        self.is_array = match["sizes"] is not None
+        self.written, self.optional = bool(match["written"]), bool(match["optional"])
+        sizes = [size.strip() for size in (match["sizes"] or "").split(",") if size.strip()]
+        self.sizes: tuple[int | str, ...] = tuple(int(size) if size.isdigit() else size for size in sizes)
+        self.dtype = np.dtype(self.kind) if self.kind != "b1" else np.dtype(np.bool_)
+
+
+class Door:
+    """A function of the library; see the module."""
+
+    def __init__(self, name: str, *arguments: str, returns: str = "") -> None:
+        self.name, self.returns = name, returns
+        self.arguments = [Argument(text) for text in arguments]
+        letters = [size for one in self.arguments for size in one.sizes if isinstance(size, str)]
+        self.letters = list(dict.fromkeys(letters))
+        self._function: Callable[..., Any] | None = None
+
+    def __call__(self, *values: Any) -> Any:
+        packed = self._packed(values)
+        return (self._function or self._opened())(*packed)
+
+    def held(self, *values: Any) -> Callable[[], Any]:
+        """The same call on the same memory, checked once: for loops that a frame goes through again and again."""
+        packed = self._packed(values)
+        call = functools.partial(self._function or self._opened(), *packed)
+        call.kept = values  # type: ignore[attr-defined]  # the memory lives as long as the call
+        return call
+
+    def _packed(self, values: tuple[Any, ...]) -> list[Any]:
+        if len(values) != len(self.arguments):
+            raise ValueError(f"{self.name}: {len(values)} arguments, expected {len(self.arguments)}")
+        sizes: dict[str, int] = {}
+        packed: list[Any] = []
+        for one, value in zip(self.arguments, values, strict=True):
+            if not one.is_array:
+                packed.append(value)
+                continue
+            if value is None and one.optional:
+                packed.append(None)
+                continue
+            shape = value.shape
+            if (
+                value.dtype != one.dtype
+                or len(shape) != len(one.sizes)
+                or not value.flags.c_contiguous
+                or (one.written and not value.flags.writeable)
+            ):
+                self._refuse(one, value)
+            for size, length in zip(one.sizes, shape, strict=True):
+                if (size if isinstance(size, int) else sizes.setdefault(size, length)) != length:
+                    self._refuse(one, value, sizes)
+            packed.append(value.__array_interface__["data"][0])
+        packed += [sizes.get(letter, 0) for letter in self.letters]
+        return packed
+
+    def _refuse(self, one: Argument, value: Any, sizes: dict[str, int] | None = None) -> None:
+        got = f"{value.dtype} {value.shape}, {'' if value.flags.c_contiguous else 'not '}in order of memory"
+        raise ValueError(f"{self.name}: {one.name}: expected {one.text}{f' with {sizes}' if sizes else ''}, got {got}")
+
+    def _opened(self) -> Callable[..., Any]:
+        function = getattr(library(), self.name)
+        function.argtypes = [ctypes.c_void_p if one.is_array else _KINDS[one.kind] for one in self.arguments]
+        function.argtypes += [ctypes.c_int64] * len(self.letters)
+        function.restype = _KINDS[self.returns] if self.returns else None
+        self._function = function
+        return function  # type: ignore[no-any-return]
+
+
+DOORS: list[Door] = []  # all that were declared, for the test that holds them to the C
+
+
+def door(name: str, *arguments: str, returns: str = "") -> Door:
+    DOORS.append(Door(name, *arguments, returns=returns))
+    return DOORS[-1]

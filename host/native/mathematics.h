@@ -1,0 +1,110 @@
+// Functions that the C library has too, but not with the same bits on every machine: its own are chosen by processor.
+// Each is one formula without a branch that a vector could not take, of sums and products in a fixed order.
+#ifndef ANNULUS_MATHEMATICS_H
+#define ANNULUS_MATHEMATICS_H
+
+#include <math.h>
+#include <string.h>
+
+#include "native.h"
+
+#define PI 3.14159265358979323846
+#define TURN 6.28318530717958647692
+
+// e^x within 2 units of the last place; 0 below -708, e^709 above 709. x = k ln 2 + r, |r| <= ln 2 / 2, and Taylor's
+// series of r to its 13th term.
+INLINE double exponential(const double x)
+{
+    const double bound = held(x, -708.0, 709.0);
+    const double k = floor(bound * 1.44269504088896340736 + 0.5);
+    const double r = (bound - k * 6.93147180369123816490e-01) - k * 1.90821492927058770002e-10;
+    double p = 1.0 / 6227020800.0;
+    p = p * r + 1.0 / 479001600.0;
+    p = p * r + 1.0 / 39916800.0;
+    p = p * r + 1.0 / 3628800.0;
+    p = p * r + 1.0 / 362880.0;
+    p = p * r + 1.0 / 40320.0;
+    p = p * r + 1.0 / 5040.0;
+    p = p * r + 1.0 / 720.0;
+    p = p * r + 1.0 / 120.0;
+    p = p * r + 1.0 / 24.0;
+    p = p * r + 1.0 / 6.0;
+    p = p * r + 0.5;
+    p = p * r + 1.0;
+    p = p * r + 1.0;
+    // k + 1023 in the exponent's place: k + 1.5 * 2^52 has k in its lowest bits, whatever a vector can convert
+    const double shifted = k + 6755399441055744.0 + 1023.0;
+    uint64_t bits;
+    memcpy(&bits, &shifted, sizeof bits);
+    bits <<= 52;
+    double power;
+    memcpy(&power, &bits, sizeof power);
+    return x < -708.0 ? 0.0 : p * power;
+}
+
+// Cosine and sine of any angle below 1e6 rad, to 1e-15 and 1e-16 of the angle: Taylor's series within a quarter turn of
+// the nearest half turn.
+INLINE void cosine_sine(const double angle, double* const cosine, double* const sine)
+{
+    const double halves = floor(angle * (1.0 / PI) + 0.5);
+    const double x = (angle - halves * 3.14159265358979311600) - halves * 1.22464679914735317636e-16;
+    const double q = x * x;
+    double c = 1.0 / 2432902008176640000.0;
+    c = c * q - 1.0 / 6402373705728000.0;
+    c = c * q + 1.0 / 20922789888000.0;
+    c = c * q - 1.0 / 87178291200.0;
+    c = c * q + 1.0 / 479001600.0;
+    c = c * q - 1.0 / 3628800.0;
+    c = c * q + 1.0 / 40320.0;
+    c = c * q - 1.0 / 720.0;
+    c = c * q + 1.0 / 24.0;
+    c = c * q - 0.5;
+    c = c * q + 1.0;
+    double s = -1.0 / 121645100408832000.0;
+    s = s * q + 1.0 / 355687428096000.0;
+    s = s * q - 1.0 / 1307674368000.0;
+    s = s * q + 1.0 / 6227020800.0;
+    s = s * q - 1.0 / 39916800.0;
+    s = s * q + 1.0 / 362880.0;
+    s = s * q - 1.0 / 5040.0;
+    s = s * q + 1.0 / 120.0;
+    s = s * q - 1.0 / 6.0;
+    s = s * q + 1.0;
+    const double half = halves * 0.5;
+    const double sign = half == floor(half) ? 1.0 : -1.0;
+    *cosine = sign * c;
+    *sine = sign * (x * s);
+}
+
+// Arc tangent of y / x in the quadrant of (x, y), within 4e-16 of itself and 1 unit of pi; 0 of (0, 0). The lesser over
+// the greater, taken off the tangent of the nearest of 0, pi/8 and pi/4, and Taylor's series of what is left.
+INLINE double arc_tangent(const double y, const double x)
+{
+    const double ay = fabs(y), ax = fabs(x);
+    const double greater = ay > ax ? ay : ax, lesser = ay > ax ? ax : ay;
+    // tan(pi/8) = sqrt 2 - 1; halves of the steps lie at tan(pi/16) and tan(3 pi/16)
+    const bool far = lesser > 0.66817863791929892 * greater, near = lesser > 0.19891236737965800 * greater;
+    const double tangent = far ? 1.0 : near ? 0.41421356237309505 : 0.0;
+    const double base = far ? 0.78539816339744831 : near ? 0.39269908169872415 : 0.0;
+    const double below = greater + tangent * lesser;
+    const double t = (lesser - tangent * greater) / (below > 0.0 ? below : 1.0);
+    const double q = t * t;
+    double p = 1.0 / 25.0;
+    p = p * q - 1.0 / 23.0;
+    p = p * q + 1.0 / 21.0;
+    p = p * q - 1.0 / 19.0;
+    p = p * q + 1.0 / 17.0;
+    p = p * q - 1.0 / 15.0;
+    p = p * q + 1.0 / 13.0;
+    p = p * q - 1.0 / 11.0;
+    p = p * q + 1.0 / 9.0;
+    p = p * q - 1.0 / 7.0;
+    p = p * q + 1.0 / 5.0;
+    p = p * q - 1.0 / 3.0;
+    const double angle = base + (t + t * (q * p));
+    const double eighth = ay > ax ? 1.57079632679489662 - angle : angle;
+    const double half = x < 0.0 ? PI - eighth : eighth;
+    return y < 0.0 ? -half : half;
+}
+
+#endif

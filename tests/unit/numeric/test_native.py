@@ -1,0 +1,74 @@
+"""Doors to the loops in C: their declarations are the C's own, and no call reaches memory that is not as declared."""
+
+import importlib
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import annulus_pipe
+from annulus_pipe.numeric.native import DOORS, Door
+
+NATIVE = Path(__file__).resolve().parents[3] / "host/native"
+OF_C = {
+    "f8": "double",
+    "f4": "float",
+    "i8": "int64_t",
+    "i4": "int32_t",
+    "i2": "int16_t",
+    "u8": "uint64_t",
+    "u4": "uint32_t",
+    "u2": "uint16_t",
+    "u1": "uint8_t",
+    "b1": "bool",
+}
+
+
+def _declaring() -> list[str]:
+    package = Path(annulus_pipe.__path__[0])
+    files = (path for path in package.rglob("*.py") if re.search(r"^\w+ = door\(", path.read_text(), re.M))
+    return [
+        ".".join(path.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__") for path in files
+    ]
+
+
+def test_every_door_is_declared_as_its_function_is_in_c() -> None:
+    for name in _declaring():
+        importlib.import_module(name)
+    in_c = {}
+    for path in sorted(NATIVE.glob("*.c")):
+        for result, name, arguments in re.findall(r"^DOOR (\w+) (\w+)\(([^)]*)\)", path.read_text(), re.M):
+            assert name not in in_c, f"{name}: twice"
+            in_c[name] = (result, [" ".join(one.split()) for one in arguments.split(",")])
+    declared = {one.name: one for one in DOORS}
+    assert declared.keys() == in_c.keys() - {"processor_level"}
+    for name, one in declared.items():
+        expected = []
+        for argument in one.arguments:
+            kind = OF_C[argument.kind]
+            star = ("" if argument.written else "const ") + kind + "* const" if argument.is_array else f"const {kind}"
+            expected.append(f"{star} {argument.name}")
+        expected += [f"const int64_t {letter}" for letter in one.letters]
+        assert in_c[name] == (OF_C[one.returns] if one.returns else "void", expected), name
+
+
+def test_an_array_that_is_not_as_declared_is_refused_before_any_memory_is_touched() -> None:
+    copied = Door("no_such_function", "f8[n,3] points", "i8[n] rank", "f8[n]! out", "f4[n]? weight")
+    points, rank, out = np.zeros((4, 3)), np.zeros(4, np.int64), np.zeros(4)
+    wrong = {
+        "a size that disagrees": (points, rank[:3], out, None),
+        "a column too many": (np.zeros((4, 4)), rank, out, None),
+        "another kind": (points, rank.astype(np.int32), out, None),
+        "another order": (np.zeros((3, 4)).T, rank, out, None),
+        "not every element": (points, rank, np.zeros(8)[::2], None),
+        "read only": (points, rank, np.frombuffer(bytes(32)), None),
+        "a dimension too few": (points[:, 0].copy(), rank, out, None),
+        "an optional one of another kind": (points, rank, out, np.zeros(4)),
+    }
+    for what, values in wrong.items():
+        with pytest.raises(ValueError, match=r"no_such_function: \w+: expected"):
+            copied(*values)
+            pytest.fail(what)
+    with pytest.raises(ValueError, match="3 arguments, expected 4"):
+        copied(points, rank, out)
