@@ -22,7 +22,6 @@ _fit = door(
     "f8 cauchy",
     "f8 sigma_of_mad",
     "f8[w]! work",
-    "i4[m]! patch",
     "f8[21]! out",
     returns="b1",
 )
@@ -84,8 +83,7 @@ class Fitter:
     """Room for fits of at most `most` points, for who fits a pose in every frame: `fit_pose` without its copies."""
 
     def __init__(self, most: int) -> None:
-        self._work = np.empty(13 * most + 54)  # ROOM of wall_pose.c
-        self._patch = np.empty(most, np.int32)
+        self._work = np.empty(16 * most + 700)  # ROOM of wall_pose.c
         self._seed, self._out = np.zeros(4), np.empty(21)
 
     def fit(
@@ -99,7 +97,7 @@ class Fitter:
     ) -> Fit | None:
         """Of the first `count` points, (3, most) in order of memory, whose weights (most,) are 1 / sigma^2."""
         self._seed[:] = (0.0, 0.0, 0.0, 0.0) if seed is None else (seed.rx, seed.ry, seed.tx, seed.ty)
-        room = self._work, self._patch, self._out
+        room = self._work, self._out
         if not _fit(points, weight, count, radius_mm, self._seed, one_ring, CAUCHY, SIGMA_OF_MAD, *room):
             return None
         rx, ry, tx, ty, robust = self._out[:5].tolist()
