@@ -137,7 +137,7 @@ class Bundle:
         if len(cameras):
             self.head = self.seen.in_head(_placements(cameras))
         seen = self.head
-        width = seen.width if middles else seen.width[:0]
+        width = seen.width if middles else None
         errors(
             Lines(seen.frame, seen.ring, seen.rays, seen.origins, width),
             Guess(cones, poses, turns, self.radius, self.corrections),
