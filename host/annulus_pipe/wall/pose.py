@@ -74,31 +74,32 @@ def fit_pose(
     It is then left at the camera's own alignment, and the covariance says how little is known.
     Should a seed lead nowhere, the fit starts again without.
     """
-    points = np.ascontiguousarray(points_mm.T, dtype=float)  # loops then read runs of x, y and z
-    weight = 1.0 / np.maximum(np.asarray(sigma_mm, dtype=float), 1e-6) ** 2
-    return Fitter(len(weight)).fit(points, weight, len(weight), radius_mm, seed, one_ring)
+    fitter = Fitter(len(sigma_mm))
+    fitter.points[:] = points_mm.T
+    fitter.weight[:] = weight_of(sigma_mm)
+    return fitter.fit(len(sigma_mm), radius_mm, seed, one_ring)
+
+
+def weight_of(sigma_mm: FloatArray) -> FloatArray:
+    """1 / sigma^2, bounded."""
+    return np.asarray(1.0 / np.maximum(np.asarray(sigma_mm, dtype=float), 1e-6) ** 2)
 
 
 class Fitter:
-    """Room for fits of at most `most` points, for who fits a pose in every frame: `fit_pose` without its copies."""
+    """Room for fits of at most `most` points, for who fits a pose in every frame: `fit_pose` without its copies. What
+    is fitted is written to points (3, most), mm, and weight (most,), see `weight_of`."""
 
     def __init__(self, most: int) -> None:
-        self._work = np.empty(16 * most + 700)  # ROOM of wall_pose.c
+        self.points, self.weight = np.empty((3, most)), np.empty(most)
         self._seed, self._out = np.zeros(4), np.empty(21)
+        work = np.empty(16 * most + 700)  # ROOM of wall_pose.c
+        fixed = CAUCHY, SIGMA_OF_MAD, work, self._out
+        self._fit = _fit.held(self.points, self.weight, ..., ..., self._seed, ..., *fixed)
 
-    def fit(
-        self,
-        points: FloatArray,
-        weight: FloatArray,
-        count: int,
-        radius_mm: float,
-        seed: Pose | None = None,
-        one_ring: bool = False,
-    ) -> Fit | None:
-        """Of the first `count` points, (3, most) in order of memory, whose weights (most,) are 1 / sigma^2."""
+    def fit(self, count: int, radius_mm: float, seed: Pose | None = None, one_ring: bool = False) -> Fit | None:
+        """Of the first `count` points."""
         self._seed[:] = (0.0, 0.0, 0.0, 0.0) if seed is None else (seed.rx, seed.ry, seed.tx, seed.ty)
-        room = self._work, self._out
-        if not _fit(points, weight, count, radius_mm, self._seed, one_ring, CAUCHY, SIGMA_OF_MAD, *room):
+        if not self._fit(count, radius_mm, one_ring):
             return None
         rx, ry, tx, ty, robust = self._out[:5].tolist()
         return Fit(Pose(rx, ry, tx, ty), robust, self._out[5:].reshape(4, 4).copy())
