@@ -38,25 +38,56 @@ INLINE void add(Lanes* const sum, const double* const values)
     }
 }
 
-// Adds to four sums the products of values of a0 and a1 with those of b0 and b1, `size` of them, a multiple of LANES.
-INLINE void add_products(Lanes* const s00, Lanes* const s01, Lanes* const s10, Lanes* const s11, const double* const a0,
-                         const double* const a1, const double* const b0, const double* const b1, const int size)
+// Adds the products of rows with one another, each `size` values, a multiple of LANES, and `stride` from the next: of
+// four rows among themselves to ten sums, 00 01 02 03 11 12 13 22 23 33, or of four with two others to eight, a0 a1 b0
+// .. So many that what is read is used three times, so few that a processor holds them all.
+INLINE void add_squares(Lanes* const sums, const double* const rows, const int stride, const int size)
 {
-    Lanes t00 = *s00, t01 = *s01, t10 = *s10, t11 = *s11;  // in registers
-    for (int n = 0; n < size; n += LANES) {
-        for (int k = 0; k < PARTS; k++) {
-            const int at = n + AT_ONCE * k;
-            const Part p0 = part_at(a0 + at), p1 = part_at(a1 + at), q0 = part_at(b0 + at), q1 = part_at(b1 + at);
-            t00.part[k] += p0 * q0;
-            t01.part[k] += p0 * q1;
-            t10.part[k] += p1 * q0;
-            t11.part[k] += p1 * q1;
+    for (int k = 0; k < PARTS; k++) {
+        Part s[10];
+        for (int i = 0; i < 10; i++) {
+            s[i] = sums[i].part[k];
+        }
+        for (int n = AT_ONCE * k; n < size; n += LANES) {
+            const Part a = part_at(rows + n), b = part_at(rows + stride + n);
+            const Part c = part_at(rows + 2 * stride + n), d = part_at(rows + 3 * stride + n);
+            s[0] += a * a;
+            s[1] += a * b;
+            s[2] += a * c;
+            s[3] += a * d;
+            s[4] += b * b;
+            s[5] += b * c;
+            s[6] += b * d;
+            s[7] += c * c;
+            s[8] += c * d;
+            s[9] += d * d;
+        }
+        for (int i = 0; i < 10; i++) {
+            sums[i].part[k] = s[i];
         }
     }
-    *s00 = t00;
-    *s01 = t01;
-    *s10 = t10;
-    *s11 = t11;
+}
+
+INLINE void add_products(Lanes* const sums, const double* const rows, const double* const others, const int stride,
+                         const int size)
+{
+    for (int k = 0; k < PARTS; k++) {
+        Part s[8];
+        for (int i = 0; i < 8; i++) {
+            s[i] = sums[i].part[k];
+        }
+        for (int n = AT_ONCE * k; n < size; n += LANES) {
+            const Part a = part_at(others + n), b = part_at(others + stride + n);
+            for (int i = 0; i < 4; i++) {
+                const Part r = part_at(rows + i * stride + n);
+                s[2 * i] += r * a;
+                s[2 * i + 1] += r * b;
+            }
+        }
+        for (int i = 0; i < 8; i++) {
+            sums[i].part[k] = s[i];
+        }
+    }
 }
 
 INLINE double added_up(const Lanes* const sum)

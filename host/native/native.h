@@ -14,6 +14,8 @@
 #define DOOR __attribute__((visibility("default")))
 #define NOTHING ((double)NAN)  // where there is none
 #define INLINE static inline __attribute__((always_inline))
+// One copy, however often it is called: what runs once a frame is mostly waiting for its code to come from memory.
+#define ONCE static __attribute__((noinline, noclone, unused))
 
 INLINE int64_t least(const int64_t a, const int64_t b)
 {

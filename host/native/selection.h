@@ -7,7 +7,7 @@
 
 // The value of that rank, from 0, among `size` without a NaN; reorders them. 0 of nothing.
 #define SELECTION(NAME, TYPE)                                                                                          \
-    static inline TYPE NAME(TYPE* const values, const int64_t size, const int64_t wanted)                              \
+    ONCE TYPE NAME(TYPE* const values, const int64_t size, const int64_t wanted)                                       \
     {                                                                                                                  \
         if (size <= 0) {                                                                                               \
             return (TYPE)0;                                                                                            \

@@ -7,7 +7,7 @@
 #include "native.h"
 
 // Makes L, with the inverses of its diagonal, of the lower half; false where it is not positive definite.
-INLINE bool factored(double* const matrix, const int size)
+ONCE bool factored(double* const matrix, const int size)
 {
     for (int i = 0; i < size; i++) {
         double* const row = matrix + i * size;
@@ -30,7 +30,7 @@ INLINE bool factored(double* const matrix, const int size)
 }
 
 // Replaces the right side by the solution.
-INLINE void solved(const double* const factor, const int size, double* const side)
+ONCE void solved(const double* const factor, const int size, double* const side)
 {
     for (int i = 0; i < size; i++) {
         for (int k = 0; k < i; k++) {

@@ -34,16 +34,6 @@
 #define WORST_SIGMA 0.08     // of the radius; beyond it this is no pipe of that radius
 #define LEAST_KEPT 0.4       // part of the points that must lie on the cylinder
 
-// Whether the robust sigma is below THERE: more than half of the errors say so.
-static bool near_enough(const Fit* const fit)
-{
-    int64_t below = 0;
-    for (int64_t n = 0; n < fit->size; n++) {
-        below += fit->sigma_of_mad * fabs(fit->error[n]) < THERE * fit->radius;
-    }
-    return below > fit->size / 2;
-}
-
 static bool sane(const Fit* const fit)
 {
     bool ok = true;
@@ -59,33 +49,31 @@ static bool approach(Fit* const fit, const double tilt)
 {
     double prior[FREE];
     for (int round = 0; round < APPROACHES; round++) {
-        look(fit, 0, fit->size);
-        if (near_enough(fit)) {
+        look(fit);
+        if (robust_below(fit, THERE * fit->radius)) {
             return true;
         }
-        const double scale = larger(robust_sigma(fit, NULL), SCALE_LEAST * fit->radius);
+        const double scale = larger(robust_sigma(fit, false), SCALE_LEAST * fit->radius);
         const double wide = 1.0 / (fit->cauchy * scale);
-        Lanes sums[64] = {0};
-        double rows[8][BLOCK], used[BLOCK];
-        const Turn t = turn_of(fit->pose);
-        for (int64_t first = 0; first < fit->size; first += BLOCK) {
-            const int size = (int)least(BLOCK, fit->size - first);
-            const double *const error = fit->error + first, *const root = fit->root + first;
-            for (int n = 0; n < size; n++) {
-                const double off = error[n] * wide;
-                used[n] = root[n] * root[n] / (1.0 + off * off);
+        const Place p = place_of(fit);
+        Lanes sums[SUMS] = {0};
+        double used[BLOCK];
+        for (int64_t b = 0; b < fit->blocks; b++) {
+            const Points* const points = fit->points + b;
+            for (int n = 0; n < BLOCK; n++) {
+                const double off = points->error[n] * wide;
+                used[n] = points->root[n] * points->root[n] / (1.0 + off * off);
             }
-            gradients(fit, t, first, size, used, rows);
-            multiply(rows, size, sums);
+            add_gradients(points, p, used, sums);
         }
         prior_of(fit, scale, tilt, SHAPE_PRIOR, prior);
         const double moved = step(fit, sums, prior);
         if (!(moved >= CLOSE)) {
-            look(fit, 0, fit->size);
+            look(fit);
             return moved == moved;
         }
     }
-    look(fit, 0, fit->size);
+    look(fit);
     return true;
 }
 
@@ -97,34 +85,28 @@ typedef struct {
 // What each point is worth, the sums of that, and the sums of products of their gradients with it, (8, 8).
 static Tally tally(const Fit* const fit, const double scale, Lanes* const sums)
 {
-    const Turn t = turn_of(fit->pose);
-    double rows[8][BLOCK], used[BLOCK], worth[BLOCK], squares[BLOCK], trusted[BLOCK];
+    const Place place = place_of(fit);
+    double used[BLOCK], worth[BLOCK], squares[BLOCK], trusted[BLOCK];
     Lanes known = {0}, square = {0};
     int64_t sound = 1, beyond = 0;
-    for (int64_t first = 0; first < fit->size; first += BLOCK) {
-        const int size = (int)least(BLOCK, fit->size - first);
-        const double* const restrict error = fit->error + first, * const restrict root = fit->root + first;
-        const double* const restrict likely = fit->likely + first;
-        for (int n = 0; n < size; n++) {
-            trusted[n] = fit->trust[fit->patch[first + n]];
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        const Points* const points = fit->points + b;
+        for (int n = 0; n < BLOCK; n++) {
+            trusted[n] = fit->trust[points->patch[n]];
         }
-        for (int n = 0; n < size; n++) {
-            const double off = error[n] * root[n], p = likely[n] * trusted[n], far = fabs(off);
-            worth[n] = p;
-            squares[n] = p * off * off;
-            used[n] = p * (root[n] * root[n]);
+        for (int n = 0; n < BLOCK; n++) {
+            const double off = points->error[n] * points->root[n], far = fabs(off);
+            worth[n] = points->likely[n] * trusted[n];
+            squares[n] = worth[n] * off * off;
+            used[n] = worth[n] * (points->root[n] * points->root[n]);
             sound += trusted[n] > 0.5;
             beyond += (trusted[n] > 0.5) & (far > 4.0 * scale) & (far < 8.0 * scale);
         }
-        for (int n = size; n % LANES != 0; n++) {
-            worth[n] = squares[n] = 0.0;
-        }
-        for (int n = 0; n < size; n += LANES) {
+        for (int n = 0; n < BLOCK; n += LANES) {
             add(&known, worth + n);
             add(&square, squares + n);
         }
-        gradients(fit, t, first, size, used, rows);
-        multiply(rows, size, sums);
+        add_gradients(points, place, used, sums);
     }
     return (Tally){added_up(&known), added_up(&square), (double)sound, (double)beyond};
 }
@@ -181,16 +163,16 @@ INLINE double lean_sigma(const Fit* const fit)
 // Moves the pose on to the most likely one, and finds its covariance; the errors' scale, infinite where there is none.
 static double settle(Fit* const fit, const double tilt)
 {
-    double scale = larger(robust_sigma(fit, fit->root), SCALE_LEAST * fit->radius);
+    double scale = larger(robust_sigma(fit, true), SCALE_LEAST * fit->radius);
     cut(fit, scale);
     double wild = NO_POINT / scale;  // wild points, per mm of radius and per point
     double shape = SHAPE_TOLERANCE;  // a hole as wide as an oval's flank is a hole as long as a circle will do
     bool mildly = true;
     double prior[FREE];
     for (int left = ROUNDS; left > 0; left--) {
-        weigh(fit, scale, wild);
+        weigh(fit, scale, wild, left < ROUNDS);
         const double unrest = judge(fit, scale, mildly);
-        Lanes sums[64] = {0};
+        Lanes sums[SUMS] = {0};
         const Tally found = tally(fit, scale, sums);
         if (!(found.known >= LEAST_KEPT * (double)fit->size)) {
             return HUGE_VAL;
@@ -229,10 +211,12 @@ static bool all_round(const Fit* const fit)
     int directions = 0;
     for (int64_t first = 0; first < some; first++) {
         for (int64_t n = first; n < fit->size; n += some) {
-            if (fit->likely[n] * fit->trust[fit->patch[n]] > LEAST_LIKELY) {
+            const Points* const points = fit->points + n / BLOCK;
+            const int64_t i = n % BLOCK;
+            if (points->likely[i] * fit->trust[points->patch[i]] > LEAST_LIKELY) {
                 const double* const pose = fit->pose;
-                const double turn =
-                    arc_tangent(fit->y[n] - pose[3] + pose[0] * fit->z[n], fit->x[n] - pose[2] - pose[1] * fit->z[n]);
+                const double turn = arc_tangent(points->y[i] - pose[3] + pose[0] * points->z[i],
+                                                points->x[i] - pose[2] - pose[1] * points->z[i]);
                 const int64_t way = around(whole(floor((turn * (1.0 / TURN) + 1.0) * 36.0), 0, 71) - 36, 36);
                 directions += !seen[way];
                 seen[way] = true;
@@ -299,51 +283,71 @@ static bool fitted_from(Fit* const fit, const double* const first, const bool on
     return likely_from(fit, upright, TILT_KEPT) && lean_unseen(fit);
 }
 
-// Room to work in, in doubles, for that many points: seven of each, six of each patch.
+// Room to work in, in doubles, for that many points: blocks, sizes of errors, six of each patch.
+#define BLOCKS(n) (((n) + BLOCK - 1) / BLOCK)
 #define PATCHES_MOST(n) ((n) + 8)
-#define ROOM(n) (7 * (n) + 6 * (PATCHES_MOST(n) + 1))
+#define ROOM(n) (BLOCKS(n) * (int64_t)(sizeof(Points) / sizeof(double) + BLOCK) + 6 * (PATCHES_MOST(n) + 1))
+
+// Copies the points into their blocks, weights scaled to 1 on average.
+static void laid_out(const Fit* const fit, const double* const x, const double* const y, const double* const z,
+                     const double* const weight)
+{
+    Lanes sum = {0};
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        Points* const points = fit->points + b;
+        const int64_t first = b * BLOCK, count = filled(fit, b);
+        const size_t bytes = (size_t)count * sizeof x[0];
+        memcpy(points->x, x + first, bytes);
+        memcpy(points->y, y + first, bytes);
+        memcpy(points->z, z + first, bytes);
+        memcpy(points->root, weight + first, bytes);
+        for (int64_t n = count; n < BLOCK; n++) {
+            points->x[n] = fit->radius;
+            points->y[n] = points->z[n] = points->root[n] = 0.0;
+        }
+        for (int n = 0; n < BLOCK; n += LANES) {
+            add(&sum, points->root + n);
+        }
+    }
+    const double per_mean = (double)fit->size / added_up(&sum);
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        double* const root = fit->points[b].root;
+        for (int n = 0; n < BLOCK; n++) {
+            root[n] = sqrt(root[n] * per_mean);
+        }
+    }
+}
 
 // Pose, robust sigma and covariance (4, 4) of the first `count` points, in `out`; false where they do not make a pipe.
 // `seed` is tried first, then, where it is any other, a head that is aligned with the pipe.
 DOOR bool pose_fit(const double* const points, const double* const weight, const int64_t count, const double radius,
                    const double* const seed, const bool one_ring, const double cauchy, const double sigma_of_mad,
-                   double* const work, int32_t* const patch, double* const out, const int64_t m, const int64_t w)
+                   double* const work, double* const out, const int64_t m, const int64_t w)
 {
     const int64_t size = least(count, m), patches = PATCHES_MOST(size) + 1;
     if (size < LEAST_POINTS || w < ROOM(size)) {
         return false;
     }
-    Fit fit = {.size = size, .x = points, .y = points + m, .z = points + 2 * m, .patch = patch, .radius = radius};
+    Fit fit = {.size = size, .blocks = BLOCKS(size), .cells_most = patches - 1};
+    fit.radius = radius;
     fit.cauchy = cauchy;
     fit.sigma_of_mad = sigma_of_mad;
-    fit.cells_most = patches - 1;
-    double** const of_points[7] = {&fit.root, &fit.error, &fit.cu, &fit.cv, &fit.likely, &fit.a, &fit.b};
-    for (int i = 0; i < 7; i++) {
-        *of_points[i] = work + i * size;
-    }
-    fit.sums = work + 7 * size;
+    fit.points = (Points*)work;
+    fit.sizes = (double*)(fit.points + fit.blocks);
+    fit.sums = fit.sizes + fit.blocks * BLOCK;
     fit.every = fit.sums + 2 * patches;
     fit.trust = fit.every + patches;
     fit.far = fit.trust + patches;
-    fit.far_room = fit.far + patches;
-    Lanes sum = {0};
-    for (int64_t n = 0; n < size; n += LANES) {
-        double filled[LANES] = {0.0};
-        memcpy(filled, weight + n, (size_t)least(LANES, size - n) * sizeof filled[0]);
-        add(&sum, filled);
-    }
-    const double mean = added_up(&sum) / (double)size;
-    for (int64_t n = 0; n < size; n++) {
-        fit.root[n] = sqrt(weight[n] / mean);
-    }
+    fit.fars = fit.far + patches;
+    laid_out(&fit, points, points + m, points + 2 * m, weight);
     const double aligned[4] = {0.0, 0.0, 0.0, 0.0};
     const bool another = seed[0] != 0.0 || seed[1] != 0.0 || seed[2] != 0.0 || seed[3] != 0.0;
     if (!fitted_from(&fit, seed, one_ring) && !(another && fitted_from(&fit, aligned, one_ring))) {
         return false;
     }
-    look(&fit, 0, size);
+    look(&fit);
     memcpy(out, fit.pose, 4 * sizeof out[0]);
-    out[4] = robust_sigma(&fit, NULL);
+    out[4] = robust_sigma(&fit, false);
     for (int i = 0; i < 4; i++) {
         memcpy(out + 5 + 4 * i, fit.covariance + FREE * i, 4 * sizeof out[0]);
     }

@@ -18,72 +18,79 @@
 // lies beyond is in none, the last.
 static void cut(Fit* const fit, const double scale)
 {
-    const Turn t = turn_of(fit->pose);
-    const int64_t size = fit->size;
-    const double tx = fit->pose[2], ty = fit->pose[3];
-    double* const along = fit->likely;
+    const Place p = place_of(fit);
+    double* const sizes = fit->sizes;
     int64_t total = 0;
-    for (int64_t n = 0; n < size; n++) {
-        along[n] = t.sb * (fit->x[n] - tx) - t.cb * (t.sa * (fit->y[n] - ty) - t.ca * fit->z[n]);
-    }
-    for (int64_t n = 0; n < size; n++) {
-        fit->a[total] = along[n];
-        total += fabs(fit->error[n] * fit->root[n]) < 3.0 * scale;  // wild points do not say how long the wall is
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        Points* const points = fit->points + b;
+        double* const along = points->likely;
+        for (int n = 0; n < BLOCK; n++) {
+            along[n] = p.sb * (points->x[n] - p.tx) - p.cb * (p.sa * (points->y[n] - p.ty) - p.ca * points->z[n]);
+        }
+        for (int64_t n = 0, end = filled(fit, b); n < end; n++) {
+            sizes[total] = along[n];
+            total +=
+                fabs(points->error[n] * points->root[n]) < 3.0 * scale;  // wild ones do not say how long the wall is
+        }
     }
     const int64_t every = most(1, total / LENGTH_SAMPLES), sampled = (total + every - 1) / every;
     for (int64_t i = 0; i < sampled; i++) {
-        fit->b[i] = fit->a[i * every];
+        sizes[i] = sizes[i * every];
     }
-    const double low = ranked(fit->b, sampled, sampled / 100);
-    const double high = ranked(fit->b, sampled, sampled - 1 - sampled / 100);
+    const double low = ranked(sizes, sampled, sampled / 100);
+    const double high = ranked(sizes, sampled, sampled - 1 - sampled / 100);
     const double length = larger(high - low, 0.01 * fit->radius);
-    const double side = sqrt(TURN * fit->radius * length * CELL_POINTS / (double)size);
+    const double side = sqrt(TURN * fit->radius * length * CELL_POINTS / (double)fit->size);
     const int64_t columns = whole(rint(TURN * fit->radius / side), COLUMNS_LEAST, fit->cells_most);
-    const int64_t rows = whole(rint(length / side), 1, fit->cells_most / columns);
+    const int64_t rows = whole(rint(length / side), 1, fit->cells_most / columns), cells = rows * columns;
     fit->rows = rows;
     fit->columns = columns;
-    const double last_row = (double)(rows - 1), around_it = (double)columns, cells = (double)(rows * columns);
-    const double inverse = 1.0 / length;
-    for (int64_t n = 0; n < size; n++) {
-        const double row = (along[n] - low) * inverse;
-        const double turned = floor((arc_tangent(fit->cv[n], fit->cu[n]) * (1.0 / TURN) + 1.0) * around_it);
-        const double column = held(turned >= around_it ? turned - around_it : turned, 0.0, around_it - 1.0);
-        const double cell = held(floor(row * (double)rows), 0.0, last_row) * around_it + column;
-        fit->patch[n] = (int32_t)((row >= -BEYOND) & (row <= 1.0 + BEYOND) ? cell : cells);
+    const double around_it = (double)columns, inverse = 1.0 / length;
+    for (int64_t i = 0; i <= cells; i++) {
+        fit->every[i] = 0.0;
     }
-    for (int64_t p = 0; p <= rows * columns; p++) {
-        fit->every[p] = 0.0;
-    }
-    for (int64_t n = 0; n < size; n++) {
-        fit->every[fit->patch[n]] += 1.0;
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        Points* const points = fit->points + b;
+        for (int n = 0; n < BLOCK; n++) {
+            const double row = (points->likely[n] - low) * inverse;
+            const double turned = floor((arc_tangent(points->cv[n], points->cu[n]) * (1.0 / TURN) + 1.0) * around_it);
+            const double column = held(turned >= around_it ? turned - around_it : turned, 0.0, around_it - 1.0);
+            const double cell = held(floor(row * (double)rows), 0.0, (double)(rows - 1)) * around_it + column;
+            points->patch[n] = (int32_t)((row >= -BEYOND) & (row <= 1.0 + BEYOND) ? cell : (double)cells);
+        }
+        for (int64_t n = filled(fit, b); n < BLOCK; n++) {
+            points->patch[n] = (int32_t)cells;
+        }
+        for (int n = 0; n < BLOCK; n++) {
+            fit->every[points->patch[n]] += 1.0;
+        }
     }
 }
 
 // Each point's error, how likely it is no wild one, and for each patch the sums of likely points and of their errors.
-static void weigh(Fit* const fit, const double scale, const double wild)
+static void weigh(Fit* const fit, const double scale, const double wild, const bool moved)
 {
-    double normal[BLOCK], off[BLOCK];
+    double off[BLOCK];
+    const Place p = place_of(fit);
     const double inverse = 1.0 / scale, wildness = wild * scale / 0.4;
     double* const sums = fit->sums;
-    for (int64_t p = 0; p < 2 * (fit->rows * fit->columns + 1); p++) {
-        sums[p] = 0.0;
+    for (int64_t i = 0; i < 2 * (fit->rows * fit->columns + 1); i++) {
+        sums[i] = 0.0;
     }
-    for (int64_t first = 0; first < fit->size; first += BLOCK) {
-        const int64_t size = least(BLOCK, fit->size - first);
-        look(fit, first, first + size);
-        const double* const restrict error = fit->error + first, * const restrict root = fit->root + first;
-        double* const restrict likely = fit->likely + first;
-        for (int64_t n = 0; n < size; n++) {
-            const double sigmas = error[n] * root[n] * inverse;
-            normal[n] = exponential(-0.5 * (sigmas * sigmas));
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        Points* const points = fit->points + b;
+        if (moved) {
+            look_at(points, p);
         }
-        for (int64_t n = 0; n < size; n++) {
-            likely[n] = normal[n] / (normal[n] + wildness);
-            off[n] = likely[n] * (error[n] * root[n]);
+        for (int n = 0; n < BLOCK; n++) {
+            const double scaled = points->error[n] * points->root[n], sigmas = scaled * inverse;
+            const double normal = exponential(-0.5 * (sigmas * sigmas));
+            points->likely[n] = normal / (normal + wildness);
+            off[n] = points->likely[n] * scaled;
         }
-        for (int64_t n = 0; n < size; n++) {
-            double* const of_patch = sums + 2 * fit->patch[first + n];
-            of_patch[0] += likely[n];
+        for (int n = 0; n < BLOCK; n++) {
+            double* const of_patch = sums + 2 * points->patch[n];
+            of_patch[0] += points->likely[n];
             of_patch[1] += off[n];
         }
     }
@@ -106,14 +113,14 @@ static double judge(Fit* const fit, const double scale, const bool mildly)
         sparse |= count < CELL_SOUND * every[p];
     }
     for (int64_t p = 0; p < cells; p++) {
-        fit->far_room[counted] = fabs(far[p]);
+        fit->fars[counted] = fabs(far[p]);
         counted += sums[2 * p] > 1.0;
     }
     trust[cells] = 0.0;
     if (counted < 8) {
         return 1.0;
     }
-    const double unrest = larger(1.0, fit->sigma_of_mad * middle(fit->far_room, counted));
+    const double unrest = larger(1.0, fit->sigma_of_mad * middle(fit->fars, counted));
     for (int64_t p = 0; p < cells; p++) {
         far[p] /= unrest;
     }

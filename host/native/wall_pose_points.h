@@ -1,4 +1,7 @@
 // What wall_pose.c knows of each point: its error, how that changes with the pose, and sums of both over all points.
+//
+// Points lie in blocks, the last filled up with points of no weight: a loop over a block has no remainder, and what it
+// reads and writes lies together.
 #ifndef ANNULUS_WALL_POSE_POINTS_H
 #define ANNULUS_WALL_POSE_POINTS_H
 
@@ -7,15 +10,25 @@
 #include "selection.h"
 #include "solving.h"
 
-#define BLOCK 128  // points whose gradients stay in the fastest cache; times, not results
-#define FREE 7     // rx, ry, tx, ty; mean, twofold cosine and sine of the radius beyond the nominal
+#define BLOCK 64  // points; times, not results
+#define FREE 7    // rx, ry, tx, ty; mean, twofold cosine and sine of the radius beyond the nominal
+#define SUMS 36   // of products of seven gradients and an error with one another
 
 typedef struct {
-    int64_t size;
-    const double *x, *y, *z;
-    double *root, *error, *cu, *cv, *likely, *a, *b;  // (N,) each
-    double *sums, *every, *trust, *far, *far_room;    // of patches: (P + 1, 2), (P + 1,), (P + 1,), (P,), (P,)
-    int32_t* patch;
+    double x[BLOCK], y[BLOCK], z[BLOCK];
+    double root[BLOCK];           // of the weight, 1 on average
+    double error[BLOCK];          // Eq. 4.8
+    double cu[BLOCK], cv[BLOCK];  // which way it lies from the axis
+    double likely[BLOCK];         // to be no wild one
+    int32_t patch[BLOCK];         // of the wall
+} Points;
+
+typedef struct {
+    int64_t size, blocks;
+    Points* points;
+    double* sizes;               // (N,)
+    double *sums, *every;        // of patches: likely points and their errors, (P + 1, 2); all points, (P + 1,)
+    double *trust, *far, *fars;  // of patches: how far to trust each, how many sigma off it is, (P + 1,)
     int64_t rows, columns, cells_most;
     double radius, cauchy, sigma_of_mad;
     double pose[FREE];
@@ -24,89 +37,79 @@ typedef struct {
 
 typedef struct {
     double ca, sa, cb, sb;  // of rx and ry
-} Turn;
+    double tx, ty, mean, cosine, sine;
+} Place;
 
 INLINE double larger(const double a, const double b)
 {
     return a > b ? a : b;
 }
 
-INLINE Turn turn_of(const double* const pose)
+ONCE Place place_of(const Fit* const fit)
 {
-    Turn t;
-    cosine_sine(pose[0], &t.ca, &t.sa);
-    cosine_sine(pose[1], &t.cb, &t.sb);
-    return t;
+    const double* const pose = fit->pose;
+    Place p = {.tx = pose[2], .ty = pose[3], .mean = fit->radius + pose[4], .cosine = pose[5], .sine = pose[6]};
+    cosine_sine(pose[0], &p.ca, &p.sa);
+    cosine_sine(pose[1], &p.cb, &p.sb);
+    return p;
 }
 
-// Each point's error, and which way it lies from the axis, (cu, cv). R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|.
-static void errors(const double* const pose, const double radius, const double* const x, const double* const y,
-                   const double* const z, double* const restrict error, double* const restrict cu,
-                   double* const restrict cv, const int64_t size)
+// How many points of a block are no filling.
+INLINE int64_t filled(const Fit* const fit, const int64_t block)
 {
-    const Turn t = turn_of(pose);
-    const double tx = pose[2], ty = pose[3], mean = radius + pose[4], cosine = pose[5], sine = pose[6];
-    for (int64_t n = 0; n < size; n++) {
-        const double px = x[n] - tx, py = y[n] - ty, pz = z[n];
-        const double u = t.cb * px + t.sb * (t.sa * py - t.ca * pz);
-        const double v = t.ca * py + t.sa * pz;
+    return least(BLOCK, fit->size - block * BLOCK);
+}
+
+// Errors, and ways from the axis. R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|.
+ONCE void look_at(Points* const points, const Place p)
+{
+    for (int n = 0; n < BLOCK; n++) {
+        const double px = points->x[n] - p.tx, py = points->y[n] - p.ty, pz = points->z[n];
+        const double u = p.cb * px + p.sb * (p.sa * py - p.ca * pz);
+        const double v = p.ca * py + p.sa * pz;
         const double r = larger(sqrt(u * u + v * v), 1e-9), inverse = 1.0 / r;
         const double c = u * inverse, s = v * inverse;
-        cu[n] = c;
-        cv[n] = s;
-        error[n] = r - mean - cosine * (c * c - s * s) - sine * (2.0 * c * s);  // Eq. 4.8
+        points->cu[n] = c;
+        points->cv[n] = s;
+        points->error[n] = r - p.mean - p.cosine * (c * c - s * s) - p.sine * (2.0 * c * s);  // Eq. 4.8
     }
 }
 
-static void look(const Fit* const fit, const int64_t n, const int64_t end)
+ONCE void look(const Fit* const fit)
 {
-    errors(fit->pose, fit->radius, fit->x + n, fit->y + n, fit->z + n, fit->error + n, fit->cu + n, fit->cv + n,
-           end - n);
-}
-
-// Products of eight rows of a block with one another, added to the upper half of sums (8, 8): two rows by two at a
-// time.
-static void multiply(double (*const rows)[BLOCK], const int size, Lanes* const sums)
-{
-    for (int i = 0; i < 8; i += 2) {
-        for (int j = i; j < 8; j += 2) {
-            Lanes *const upper = sums + 8 * i + j, *const lower = upper + 8;
-            add_products(upper, upper + 1, lower, lower + 1, rows[i], rows[i + 1], rows[j], rows[j + 1], size);
-        }
+    const Place p = place_of(fit);
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        look_at(fit->points + b, p);
     }
 }
 
-// Of a block of points, each one's gradient and error times the root of its weight: (8, B). How the twofold term turns
-// with the pose is left out: it is small, and costs steps, not accuracy.
-INLINE void gradients(const Fit* const fit, const Turn t, const int64_t first, const int size, const double* const used,
-                      double (*const restrict rows)[BLOCK])
+// Products of the points' gradients and errors with one another, times their weights `used`, added to 36 sums: of the
+// first four, of those with the next two, with the last two, and of the last four. How the twofold term turns with the
+// pose is left out: it is small, and costs steps, not accuracy.
+ONCE void add_gradients(const Points* const points, const Place p, const double* const used, Lanes* const sums)
 {
-    const double tx = fit->pose[2], ty = fit->pose[3];
-    const double *const x = fit->x + first, *const y = fit->y + first, *const z = fit->z + first;
-    const double *const cu = fit->cu + first, *const cv = fit->cv + first, *const error = fit->error + first;
-    for (int n = 0; n < size; n++) {
-        const double px = x[n] - tx, py = y[n] - ty, pz = z[n], w = sqrt(used[n]);
-        const double turned = t.sa * py - t.ca * pz, v = t.ca * py + t.sa * pz;
-        const double wu = w * cu[n], wv = w * cv[n];
-        rows[0][n] = wu * (t.sb * v) - wv * turned;
-        rows[1][n] = wu * (t.cb * turned - t.sb * px);
-        rows[2][n] = -wu * t.cb;
-        rows[3][n] = -(wu * (t.sb * t.sa) + wv * t.ca);
+    _Alignas(64) double rows[8][BLOCK];
+    for (int n = 0; n < BLOCK; n++) {
+        const double px = points->x[n] - p.tx, py = points->y[n] - p.ty, pz = points->z[n], w = sqrt(used[n]);
+        const double turned = p.sa * py - p.ca * pz, v = p.ca * py + p.sa * pz;
+        const double wu = w * points->cu[n], wv = w * points->cv[n];
+        rows[0][n] = wu * (p.sb * v) - wv * turned;
+        rows[1][n] = wu * (p.cb * turned - p.sb * px);
+        rows[2][n] = -wu * p.cb;
+        rows[3][n] = -(wu * (p.sb * p.sa) + wv * p.ca);
         rows[4][n] = -w;
-        rows[5][n] = -(wu * cu[n] - wv * cv[n]);
-        rows[6][n] = -2.0 * (wu * cv[n]);
-        rows[7][n] = w * error[n];
+        rows[5][n] = -(wu * points->cu[n] - wv * points->cv[n]);
+        rows[6][n] = -2.0 * (wu * points->cv[n]);
+        rows[7][n] = w * points->error[n];
     }
-    for (int n = size; n % LANES != 0; n++) {
-        for (int i = 0; i < 8; i++) {
-            rows[i][n] = 0.0;
-        }
-    }
+    add_squares(sums, rows[0], BLOCK, BLOCK);
+    add_products(sums + 10, rows[0], rows[4], BLOCK, BLOCK);
+    add_products(sums + 18, rows[0], rows[6], BLOCK, BLOCK);
+    add_squares(sums + 26, rows[4], BLOCK, BLOCK);
 }
 
 // (7,) what is known beforehand, as precisions times scale^2.
-static void prior_of(const Fit* const fit, const double scale, const double tilt, const double shape,
-                     double* const prior)
+ONCE void prior_of(const Fit* const fit, const double scale, const double tilt, const double shape, double* const prior)
 {
     const double lean = scale / tilt, oval = scale / (shape * fit->radius);
     for (int i = 0; i < FREE; i++) {
@@ -115,14 +118,18 @@ static void prior_of(const Fit* const fit, const double scale, const double tilt
 }
 
 // Takes the pose a step on, by the sums of products; how far, in radians or parts of the radius, NaN where none is.
-static double step(Fit* const fit, const Lanes* const sums, const double* const prior)
+ONCE double step(Fit* const fit, const Lanes* const sums, const double* const prior)
 {
     double product[8][8], normal[FREE * FREE], moved[FREE], trace = 0.0;
-    for (int i = 0; i < 8; i++) {
-        for (int j = i; j < 8; j++) {
-            product[i][j] = product[j][i] = added_up(&sums[8 * i + j]);
+    for (int i = 0, square = 0; i < 4; i++) {
+        for (int j = i; j < 4; j++, square++) {
+            product[i][j] = product[j][i] = added_up(sums + square);
+            product[4 + i][4 + j] = product[4 + j][4 + i] = added_up(sums + 26 + square);
         }
-        trace += product[i][i];
+        for (int j = 4; j < 8; j++) {
+            product[i][j] = product[j][i] = added_up(sums + 10 + 8 * (j / 6) + 2 * i + j % 2);
+        }
+        trace += product[i][i] + product[4 + i][4 + i];
     }
     for (int i = 0; i < FREE; i++) {
         const double size = i < 2 ? 1.0 : fit->radius;  // angles and lengths alike
@@ -145,13 +152,33 @@ static double step(Fit* const fit, const Lanes* const sums, const double* const 
     return farthest;
 }
 
-// Median of the sizes of errors, or of errors times roots, as a sigma.
-static double robust_sigma(const Fit* const fit, const double* const root)
+// The sizes of all errors; weighted, of errors scaled to those of a usual point.
+ONCE void measure(const Fit* const fit, const bool weighted)
 {
-    for (int64_t n = 0; n < fit->size; n++) {
-        fit->a[n] = fabs(root ? fit->error[n] * root[n] : fit->error[n]);
+    for (int64_t b = 0; b < fit->blocks; b++) {
+        const Points* const points = fit->points + b;
+        double* const restrict sizes = fit->sizes + b * BLOCK;
+        for (int n = 0; n < BLOCK; n++) {
+            sizes[n] = fabs(points->error[n] * (weighted ? points->root[n] : 1.0));
+        }
     }
-    return fit->sigma_of_mad * middle(fit->a, fit->size);
+}
+
+ONCE double robust_sigma(const Fit* const fit, const bool weighted)
+{
+    measure(fit, weighted);
+    return fit->sigma_of_mad * middle(fit->sizes, fit->size);
+}
+
+// Whether the robust sigma is below a limit: more than half of the errors say so.
+static bool robust_below(const Fit* const fit, const double limit)
+{
+    int64_t below = 0;
+    measure(fit, false);
+    for (int64_t n = 0; n < fit->size; n++) {
+        below += fit->sigma_of_mad * fit->sizes[n] < limit;
+    }
+    return below > fit->size / 2;
 }
 
 #endif

@@ -22,7 +22,6 @@ _fit = door(
     "f8 cauchy",
     "f8 sigma_of_mad",
     "f8[w]! work",
-    "i4[m]! patch",
     "f8[21]! out",
     returns="b1",
 )
@@ -93,8 +92,8 @@ class Fitter:
     def __init__(self, most: int) -> None:
         self.points, self.weight = np.empty((3, most)), np.empty(most)
         self._seed, self._out = np.zeros(4), np.empty(21)
-        work, patch = np.empty(13 * most + 54), np.empty(most, np.int32)  # ROOM of wall_pose.c
-        fixed = CAUCHY, SIGMA_OF_MAD, work, patch, self._out
+        work = np.empty(16 * most + 700)  # ROOM of wall_pose.c
+        fixed = CAUCHY, SIGMA_OF_MAD, work, self._out
         self._fit = _fit.held(self.points, self.weight, ..., ..., self._seed, ..., *fixed)
 
     def fit(self, count: int, radius_mm: float, seed: Pose | None = None, one_ring: bool = False) -> Fit | None:

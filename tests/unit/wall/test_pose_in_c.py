@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.wall.pose import Fitter, fit_pose
+from annulus_pipe.wall.pose import Fitter, fit_pose, weight_of
 
 R = 76.2
 rubbish = st.floats(width=32) | st.sampled_from([0.0, 76.2, np.nan, np.inf, -np.inf])
@@ -77,11 +77,9 @@ def test_rubbish_has_an_answer_or_none(points, sigma, one_ring):
 
 def test_room_for_more_points_changes_nothing():
     points, sigma = wall(3, 500, 6.0, 0.05, 3.0, 0.0, 0.05, 80.0, Pose(0.02, 0.01, 1.0, 2.0))
-    roomy = np.full((3, 900), np.nan)
-    roomy[:, :500] = points.T
-    weight = np.full(900, np.nan)
-    weight[:500] = 1.0 / sigma**2
     fitter = Fitter(900)
-    found, expected = fitter.fit(roomy, weight, 500, R), fit_pose(points, R, sigma)
+    fitter.points[:], fitter.weight[:] = np.nan, np.nan
+    fitter.points[:, :500], fitter.weight[:500] = points.T, weight_of(sigma)
+    found, expected = fitter.fit(500, R), fit_pose(points, R, sigma)
     assert found.pose == expected.pose and (found.covariance == expected.covariance).all()
-    assert fitter.fit(roomy, weight, 30, R) is None
+    assert fitter.fit(30, R) is None
