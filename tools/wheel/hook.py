@@ -57,7 +57,7 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
 
 
 def libraries(root: Path, machine: str, build: Path) -> list[Path]:
-    """The native library for that machine and the loops for its kinds of processor, without what only a debugger reads."""
+    """For that machine: the native library, and the loops for its kinds of processor; less what a debugger reads."""
     prefix = "" if machine == platform.machine() else f"{machine}-linux-gnu-"
     _run("make", "--silent", "-C", str(root / "firmware"), "native", f"BUILD={build}", f"CC={prefix}gcc")
     loops = ("-C", str(root / "host/native"), f"BUILD={build}", f"CC={prefix}gcc", f"MACHINE={machine}")
