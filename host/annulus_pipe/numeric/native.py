@@ -15,6 +15,7 @@ another ("x86-64-v2"), for tests.
 
 import ctypes
 import functools
+import hashlib
 import os
 import platform
 import re
@@ -62,11 +63,23 @@ def library() -> ctypes.CDLL:
 
 def _load(path: Path) -> ctypes.CDLL:
     try:
-        return ctypes.CDLL(str(path))
+        loaded = ctypes.CDLL(str(path))
     except OSError as error:
         raise AnnulusError(
             f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
         ) from None
+    loaded.library_sources.restype = ctypes.c_char_p
+    if (ours := sources()) not in ("", loaded.library_sources().decode()):
+        raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
+    return loaded
+
+
+@functools.cache
+def sources() -> str:
+    """A digest of the C in this checkout, as its Makefile makes it; empty where annulus came as a wheel."""
+    folder = Path(__file__).resolve().parents[2] / "native"
+    files = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16] if files else ""
 
 
 class Argument:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import annulus_pipe
+from annulus_pipe.numeric import native
 from annulus_pipe.numeric.native import DOORS, LoopDoor
+from annulus_pipe.vocabulary import AnnulusError
 
 NATIVE = Path(__file__).resolve().parents[3] / "host/native"
 OF_C = {
@@ -72,3 +74,9 @@ def test_an_array_that_is_not_as_declared_is_refused_before_any_memory_is_touche
             pytest.fail(what)
     with pytest.raises(ValueError, match="3 arguments, expected 4"):
         copied(points, rank, out)
+
+
+def test_a_library_of_other_sources_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "sources", lambda: "0123456789abcdef")
+    with pytest.raises(AnnulusError, match=r"loops-.*: was built from other sources .* Run `make setup`\.$"):
+        native.library.__wrapped__()
