@@ -15,6 +15,7 @@ another ("x86-64-v2"), for tests.
 
 import ctypes
 import functools
+import hashlib
 import os
 import platform
 import re
@@ -63,11 +64,23 @@ def library() -> ctypes.CDLL:
 
 def _load(path: Path) -> ctypes.CDLL:
     try:
-        return ctypes.CDLL(str(path))
+        loaded = ctypes.CDLL(str(path))
     except OSError as error:
         raise AnnulusError(
             f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
         ) from None
+    loaded.library_sources.restype = ctypes.c_char_p
+    if (ours := sources()) not in ("", loaded.library_sources().decode()):
+        raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
+    return loaded
+
+
+@functools.cache
+def sources() -> str:
+    """A digest of the C in this checkout, as its Makefile makes it; empty where annulus came as a wheel."""
+    folder = Path(__file__).resolve().parents[2] / "native"
+    files = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16] if files else ""
 
 
 class Argument:
@@ -106,7 +119,7 @@ def _address(array: Any) -> int:
         return int(array.__array_interface__["data"][0])
 
 
-class Door:
+class LoopDoor:
     """A function of the library; see the module."""
 
     def __init__(self, name: str, *arguments: str, returns: str = "") -> None:
@@ -178,9 +191,9 @@ class Door:
         return function  # type: ignore[no-any-return]
 
 
-DOORS: list[Door] = []  # all that were declared, for the test that holds them to the C
+DOORS: list[LoopDoor] = []  # all that were declared, for the test that holds them to the C
 
 
-def door(name: str, *arguments: str, returns: str = "") -> Door:
-    DOORS.append(Door(name, *arguments, returns=returns))
+def door(name: str, *arguments: str, returns: str = "") -> LoopDoor:
+    DOORS.append(LoopDoor(name, *arguments, returns=returns))
     return DOORS[-1]
