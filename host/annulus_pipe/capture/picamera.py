@@ -47,7 +47,7 @@ _PICTURES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Mosaic:
+class RawFormat:
     """A raw format of libcamera: `SRGGB10`, `SBGGR12_CSI2P`. Raises AnnulusError for what is not read."""
 
     order: str  # the first two rows' colours
@@ -55,7 +55,7 @@ class Mosaic:
     packed: bool  # CSI-2: four pixels' upper bytes, then their lower bits in one
 
     @classmethod
-    def named(cls, name: str) -> "Mosaic":
+    def named(cls, name: str) -> "RawFormat":
         pixels, _, packing = name.partition("_")
         order, bits = pixels[1:5], pixels[5:]
         if pixels[:1] != "S" or order not in MOSAICS or bits not in ("8", "10", "12", "14", "16"):
@@ -92,7 +92,7 @@ class PicameraCamera(OneRequest):
         self._stream = "raw" if configuration.get("raw") else "main"
         stream = configuration[self._stream]
         name = str(stream["format"])
-        self._mosaic = Mosaic.named(name) if self._stream == "raw" else None
+        self._mosaic = RawFormat.named(name) if self._stream == "raw" else None
         if self._mosaic is None and name not in _PICTURES:
             raise AnnulusError(f"camera: Picamera2 main format is {name}, expected one of {', '.join(_PICTURES)}")
         self._conversion = _PICTURES.get(name)
@@ -266,7 +266,7 @@ def configure(
             raw={"size": size, "format": mode},
             buffer_count=BUFFERS,
             controls=controls,
-            sensor={"output_size": size, "bit_depth": Mosaic.named(mode).bits},
+            sensor={"output_size": size, "bit_depth": RawFormat.named(mode).bits},
             display=None,
             encode=None,
         )

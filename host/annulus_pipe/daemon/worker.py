@@ -10,7 +10,7 @@ import cv2
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.record.codec import to_picture
 from annulus_pipe.reprocess.method import method_for, warm_up
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.stream.frames import FrameHeader
@@ -31,7 +31,7 @@ class ReconstructionJob:
     def flash(self, frames: Sequence[tuple[FrameHeader, Image]], extra: Any) -> Any:
         seed = None if extra is None else Pose(*extra)
         header = frames[0][0]
-        images = {one.camera: to_bgr(image, one.encoding) for one, image in frames}
+        images = {one.camera: to_picture(image, one.encoding) for one, image in frames}
         profile = self._method(header, images, seed).to_dict()
         return profile if self._joins else {**profile, "camera": header.camera}
 

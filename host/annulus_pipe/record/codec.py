@@ -6,6 +6,7 @@ from typing import cast
 import numpy as np
 
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import Mosaic, Picture, bgr_of
 
 JPEG_QUALITY = 95
 
@@ -24,16 +25,20 @@ def is_mosaic(encoding: str) -> bool:
     return encoding.startswith("bayer_")
 
 
-def to_bgr(image: Image, encoding: str) -> Image:
-    """(H, W, 3) BGR from any encoding of CHANNELS. Of bayer_rggb8 red is at (0, 0)."""
-    import cv2  # not by whom imports this: a recorder has to be up at once
-
+def to_picture(image: Image, encoding: str) -> Picture:
+    """From any encoding of CHANNELS: a mosaic as it is (of bayer_rggb8 red is at (0, 0)), all else (H, W, 3) BGR."""
     if is_mosaic(encoding):
-        order = encoding.removeprefix("bayer_").removesuffix("8").upper()
-        return cast(Image, cv2.cvtColor(image, getattr(cv2, f"COLOR_Bayer{order}2BGR")))
+        return Mosaic(image, encoding.removeprefix("bayer_").removesuffix("8"))
     if encoding == "mono8":
+        import cv2  # not by whom imports this: a recorder has to be up at once
+
         return cast(Image, cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     return image
+
+
+def to_bgr(image: Image, encoding: str) -> Image:
+    """(H, W, 3) BGR from any encoding of CHANNELS."""
+    return bgr_of(to_picture(image, encoding))
 
 
 def jpeg(image: Image, encoding: str) -> bytes:

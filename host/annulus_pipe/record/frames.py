@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-
 from annulus_pipe import untrusted
 from annulus_pipe.record.index import Contents
 from annulus_pipe.record.walk import Chunk, MessageLocation
@@ -28,7 +26,7 @@ IDENTITY = "/identity"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24
-_JPEG = CompressedImage.DESCRIPTOR.full_name
+_JPEG = "foxglove.CompressedImage"
 Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
 
 

@@ -29,14 +29,13 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.message import DecodeError
 
 from annulus_pipe import untrusted
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import Picture, bgr_of
+from annulus_pipe.record import protobuf
 from annulus_pipe.record.clock import CLOCK_FILE, Clock
-from annulus_pipe.record.codec import to_bgr
+from annulus_pipe.record.codec import to_picture
 from annulus_pipe.record.followed import Followed, followed
 from annulus_pipe.record.frames import (
     FRAME_TOPIC,
@@ -60,6 +59,8 @@ from annulus_pipe.stream.frames import CHANNELS, SIDE_MAX
 from annulus_pipe.vocabulary import AnnulusError
 
 WALKED = 8 << 20  # bytes of one request of a walk over a store: all are moved, in the time that they take
+_WIDTH, _HEIGHT, _ENCODING, _PIXELS = 2, 3, 4, 6  # fields of a foxglove.RawImage
+_COMPRESSED = 2  # .. and the bytes of a .CompressedImage
 _ATTACHED = ("calibration.json", "configuration.json", PART_FILE, CLOCK_FILE)
 
 
@@ -234,25 +235,31 @@ class Recording:
         data, where = self._message(frame)
         if frame.jpeg:
             return _decoded(data, where), "bgr8"
-        raw = RawImage()
         try:
-            raw.ParseFromString(data)
-        except DecodeError:
+            raw = protobuf.fields(data)
+            encoding = protobuf.text(raw, _ENCODING)
+        except ValueError:
             raise DamagedError(f"{where} is damaged: not a foxglove.RawImage.") from None
-        channels = CHANNELS.get(raw.encoding)
+        width, height = (protobuf.number(raw, of, protobuf.FIXED32) for of in (_WIDTH, _HEIGHT))
+        pixels = protobuf.content(raw, _PIXELS)
+        channels = CHANNELS.get(encoding)
         if channels is None:
-            raise AnnulusError(f"{where} is encoded as {raw.encoding!r}, expected one of {', '.join(CHANNELS)}.")
-        within = 0 < raw.width <= SIDE_MAX and 0 < raw.height <= SIDE_MAX
-        if not within or len(raw.data) != raw.width * raw.height * channels:
+            raise AnnulusError(f"{where} is encoded as {encoding!r}, expected one of {', '.join(CHANNELS)}.")
+        within = 0 < width <= SIDE_MAX and 0 < height <= SIDE_MAX
+        if not within or len(pixels) != width * height * channels:
             raise DamagedError(
-                f"{where} is damaged: {len(raw.data)} bytes for {raw.width}x{raw.height} pixels of {channels} bytes."
+                f"{where} is damaged: {len(pixels)} bytes for {width}x{height} pixels of {channels} bytes."
             )
-        shape = (raw.height, raw.width, channels) if channels > 1 else (raw.height, raw.width)
-        return np.frombuffer(raw.data, np.uint8).reshape(shape), raw.encoding
+        shape = (height, width, channels) if channels > 1 else (height, width)
+        return np.frombuffer(pixels, np.uint8).reshape(shape), encoding
+
+    def picture(self, frame: RecordedFrame) -> Picture:
+        """The image, a mosaic as the camera gave it: nothing of it is copied, and it may not be written to."""
+        return to_picture(*self.read_raw(frame))
 
     def read(self, frame: RecordedFrame) -> Image:
         """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
-        return to_bgr(*self.read_raw(frame))
+        return bgr_of(self.picture(frame))
 
     def is_sound(self, frame: RecordedFrame) -> bool:
         """Whether frame and label are what was written."""
@@ -277,12 +284,10 @@ class Recording:
 
 
 def _compressed(data: memoryview, where: str) -> bytes:
-    message = CompressedImage()
     try:
-        message.ParseFromString(data)
-    except DecodeError:
+        return bytes(protobuf.content(protobuf.fields(data), _COMPRESSED))
+    except ValueError:
         raise DamagedError(f"{where} is damaged: not a foxglove.CompressedImage.") from None
-    return bytes(message.data)
 
 
 def _decoded(data: memoryview, where: str) -> Image:

@@ -10,6 +10,7 @@ from pathlib import Path
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.hooks import added
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import bgr_of
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
 from annulus_pipe.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
@@ -107,7 +108,8 @@ def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
     looked_at = []
     for i in spread:
         with contextlib.suppress(DamagedError):
-            looked_at.append((job.scan.frames[i].index, job.read_flash(i)))
+            images = {number: bgr_of(picture) for number, picture in job.read_flash(i).items()}
+            looked_at.append((job.scan.frames[i].index, images))
     if not looked_at:
         job.read(which[0])  # says what is wrong
     if job.calibration.kind == "line":  # light that stays on: a video's, and perhaps an interlaced one's

@@ -8,6 +8,7 @@ import numpy as np
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import Picture, bgr_of
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.method import Method, method_for
 from annulus_pipe.rings.calibration.reference import Reference
@@ -46,9 +47,9 @@ class Job:
             first.setdefault(self.scan.frames[i].index, i)
         return list(first.values())
 
-    def read(self, i: int) -> Image:
-        """scan.frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when it is damaged or not of the calibrated size."""
-        image = self.scan.read(i)
+    def picture(self, i: int) -> Picture:
+        """scan.frames[i]. Raises AnnulusError when it is damaged or not of the calibrated size."""
+        image = self.scan.picture(i)
         height, width = image.shape[:2]
         own = self.scan.frames[i].camera
         camera = next((one.camera for one in self.calibration.cameras if one.id == own), self.calibration.camera)
@@ -59,16 +60,20 @@ class Job:
             )
         return image
 
-    def read_flash(self, i: int) -> dict[int, Image]:
+    def read(self, i: int) -> Image:
+        """The same as (H, W, 3) uint8 BGR."""
+        return bgr_of(self.picture(i))
+
+    def read_flash(self, i: int) -> dict[int, Picture]:
         """The images of scan.frames[i] and of the other cameras' frames of its flash, by camera id; damaged ones are
         left out. Raises AnnulusError as `read` does, DamagedError where all are damaged."""
         if len(self.scan.cameras) == 1:
-            return {self.scan.frames[i].camera: self.read(i)}
-        out: dict[int, Image] = {}
+            return {self.scan.frames[i].camera: self.picture(i)}
+        out: dict[int, Picture] = {}
         damage: DamagedError | None = None
         for j in self.scan.same_flash(i):
             try:
-                out[self.scan.frames[j].camera] = self.read(j)
+                out[self.scan.frames[j].camera] = self.picture(j)
             except DamagedError as error:
                 damage = error
         if not out and damage is not None:

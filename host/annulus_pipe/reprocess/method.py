@@ -6,6 +6,7 @@ from typing import Protocol
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import Picture
 from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Trouble, examine
@@ -27,10 +28,10 @@ class FrameFacts(Protocol):
     def roll_deg(self) -> float | None: ...
 
 
-# (frame, images (H, W, 3) uint8 BGR by camera id, pose of a frame nearby or None) -> profile. All images are of one
-# flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its camera's,
-# ValueError for a frame whose place along the pipe is not known.
-Method = Callable[[FrameFacts, Mapping[int, Image], Pose | None], Profile]
+# (frame, pictures by camera id, pose of a frame nearby or None) -> profile. All images
+# are of one flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its
+# camera's, ValueError for a frame whose place along the pipe is not known.
+Method = Callable[[FrameFacts, Mapping[int, Picture], Pose | None], Profile]
 
 
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
@@ -50,12 +51,10 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
 
 
 def _method(profile_of: Callable[..., Profile]) -> Method:
-    def profile(frame: FrameFacts, images: Mapping[int, Image], seed: Pose | None) -> Profile:
+    def profile(frame: FrameFacts, pictures: Mapping[int, Picture], seed: Pose | None) -> Profile:
         if frame.z_mm is None:
             raise ValueError("no place along the pipe is known for this frame")
-        # to numba a read-only array is another type: everything would compile again
-        writeable = {number: image if image.flags.writeable else image.copy() for number, image in images.items()}
-        return profile_of(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
+        return profile_of(pictures, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
 
     return profile
 

@@ -15,6 +15,7 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray, arc_of
 from annulus_pipe.numeric.chroma import LED_SPREAD_MAX, PROJECTOR_SPREAD_MIN, spread
+from annulus_pipe.numeric.mosaic import Picture, thinned
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus_pipe.rings.colour import ColourProfile, differs, stripes
@@ -32,6 +33,8 @@ CLIPPED = 250  # grey level: JPEG moves full scale about by a few
 CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: edges stay where they are ..
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
 FAINT = 5  # grey level: a channel below says nothing of hue
+_NOT_FAINT = np.where(np.arange(256) > FAINT, np.arange(256), 0).astype(np.uint16)  # of each grey level, or 0
+_PART = 1.0 / np.maximum(np.arange(3 * 255 + 1), 1)  # what one grey level is of each brightness of all three channels
 SECTORS = 24  # round the image's middle: 15 degrees each
 GLARE = 0.5  # of a sector's stripes at full scale, in one frame ..
 GLARE_FRAMES = 0.25  # .. and of the frames, before it is said: a bead that shines is not a band
@@ -91,9 +94,9 @@ class FrameLighting:
         return not self.dark and self.hues >= PROJECTOR_SPREAD_MIN
 
 
-def diagnose(image_bgr: NDArray[np.uint8]) -> FrameLighting:
-    """Light of one frame, (H, W, 3) uint8, from every eighth pixel of every eighth row."""
-    some = np.ascontiguousarray(image_bgr[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY])
+def diagnose(picture: Picture) -> FrameLighting:
+    """Light of one frame, from every eighth pixel of every eighth row."""
+    some = thinned(picture, EVERY)
     blue, green, red = cv2.split(some)
     larger, smaller = cv2.max(blue, green), cv2.min(blue, green)
     top, second = cv2.max(larger, red), cv2.max(smaller, cv2.min(larger, red))
@@ -105,7 +108,7 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> FrameLighting:
         float(bright),
         float(above[CLIPPED]) / lit,
         float(lost[CLIPPED]) / lit,
-        _hues(some),
+        _hues(blue, green, red),
         _glare(top, least),
         zlib.crc32(some.data),
     )
@@ -125,11 +128,12 @@ def _sectors(rows: int, columns: int) -> NDArray[np.uint8]:
     return np.asarray(np.minimum(turn * SECTORS, SECTORS - 1), np.uint8)
 
 
-def _hues(image_bgr: NDArray[np.uint8]) -> float:
+def _hues(*channels: NDArray[np.uint8]) -> float:
     """Variance of chromaticity over a picture, weighted with brightness."""
-    light = np.where(image_bgr > FAINT, image_bgr, 0).reshape(-1, 3).astype(np.float64)
-    pure = light * (light / np.maximum(light.sum(axis=1, keepdims=True), 1.0))
-    return float(spread(light.sum(axis=0), pure.sum(axis=0)))
+    light = [_NOT_FAINT[np.ravel(one)] for one in channels]
+    brightness = sum(light[1:], start=light[0])
+    squares = (np.bincount(brightness, one * one, len(_PART)) for one in light)  # whole numbers: exact
+    return float(spread(np.array([one.sum(dtype=np.float64) for one in light]), np.array([s @ _PART for s in squares])))
 
 
 def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Finding, ...]:

@@ -22,6 +22,7 @@ from annulus_pipe import untrusted
 from annulus_pipe.capture.pictures import decode
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.mosaic import Picture, bgr_of
 from annulus_pipe.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
 from annulus_pipe.record.missing import missing_told
 from annulus_pipe.record.parts import first_names, first_paths
@@ -139,11 +140,16 @@ class Scan:
         if self.recording is not None:
             self.recording.plan(self.recording.frames[i] for i in which)
 
-    def read(self, i: int) -> Image:
-        """The image of frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when missing, truncated or damaged."""
+    def picture(self, i: int) -> Picture:
+        """The image of frames[i]: a recorded mosaic as it lies there, anything else (H, W, 3) uint8 BGR. Raises
+        AnnulusError when missing, truncated or damaged."""
         if self.recording is not None:
-            return self.recording.read(self.recording.frames[i])
+            return self.recording.picture(self.recording.frames[i])
         return read_image(self.path / self.frames[i].where)
+
+    def read(self, i: int) -> Image:
+        """The same, always BGR."""
+        return bgr_of(self.picture(i))
 
 
 def open_scan(place: Where | str) -> Scan:

@@ -8,10 +8,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, Image
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.native import door
 from annulus_pipe.twin.walls import padded
 from annulus_pipe.twin.worlds.course import Course, across

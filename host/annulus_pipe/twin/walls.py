@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import Float32Array, Image
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.twin.worlds.world import CLOCKS, STEP_Z_MM, World
 
 _TILE_ROWS, _TILE_COLUMNS = 6, 8  # cells of the wall map to a tile: 2.4 mm by 2 degrees

@@ -1,8 +1,11 @@
 """Where rows may lie, by all chains: as sure as what lies around them."""
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as drawn
 
-from annulus_pipe.archive.chain import believed_states, row_costs
+from annulus_pipe.archive.chain import believed_states, joined, likeliest, row_costs
 
 ROWS, STATES, NEAR, FAR, FADE = 41, 31, 1e-6, 1e-3, 0.8
 
@@ -51,3 +54,24 @@ def test_a_row_gains_where_it_is_found_again_and_not_from_what_grew() -> None:
     bare[:, 10:20] = 2.0
     empty = np.zeros_like(first)
     assert np.allclose(row_costs(bare, empty, at, np.zeros_like(at), 0.014), 0.0)
+
+
+@given(st.data(), st.integers(0, 5), st.integers(0, 4), st.integers(0, 9), st.integers(0, 20))
+def test_whatever_maps_and_places_hold_no_row_or_state_is_one_that_is_not_there(
+    data: st.DataObject, rows: int, others: int, states: int, columns: int
+) -> None:
+    anything, small = drawn.arrays(np.float64, (rows, states)), drawn.arrays(np.float32, (others, columns))
+    second = data.draw(drawn.arrays(np.float32, (rows, columns)))
+    at, turned = data.draw(anything), data.draw(anything)
+    with np.errstate(all="ignore"):
+        cost = row_costs(second, data.draw(small), at, turned, 0.014)
+        assert (cost[~((at >= 0) & (np.floor(at) + 1 < others))] == 0).all()
+        chain = likeliest(at, *data.draw(st.tuples(st.floats(), st.floats())))
+        assert len(chain) == rows and (not states or ((chain >= 0) & (chain < states)).all())
+        if states:
+            leaps = data.draw(drawn.arrays(np.int64, rows))
+            sums = believed_states(at, leaps, NEAR, FAR, FADE).sum(axis=1)
+            assert np.allclose(sums[np.isfinite(sums)], 1.0)
+        weight, pull = second[:, :1].ravel().astype(float), turned[:, :1].ravel()
+        value, variance = joined(np.resize(weight, rows), np.resize(pull, rows), np.zeros(max(rows - 1, 0)))
+        assert len(value) == len(variance) == rows

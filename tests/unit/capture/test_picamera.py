@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.capture.camera import BAYER_RGGB8, BGR8, CameraDriver, grab
-from annulus_pipe.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, plug, require_controls
+from annulus_pipe.capture.picamera import HELD_MAX, RawFormat, configure, on_monotonic, plug, require_controls
 from annulus_pipe.vocabulary import AnnulusError
 
 PACKAGE = Path(__file__).parents[3] / ".tools/picamera2"
@@ -185,7 +185,7 @@ def test_sizes_the_sensor_has_no_mode_of_are_refused_in_one_line(sensor: libcame
 @pytest.mark.parametrize("name", ["SRGGB8", "SBGGR10", "SGRBG12", "SGBRG16", "SRGGB10_CSI2P", "SBGGR12_CSI2P"])
 def test_every_mosaic_is_read_as_the_colours_it_has(name: str) -> None:
     width, height = 40, 6
-    mosaic = Mosaic.named(name)
+    mosaic = RawFormat.named(name)
     colours = {"R": 200, "G": 120, "B": 40}
     cells = np.array([colours[c] for c in mosaic.order], np.uint16).reshape(2, 2)
     pixels = np.tile(cells, (height // 2, width // 2))
@@ -206,7 +206,7 @@ def test_every_mosaic_is_read_as_the_colours_it_has(name: str) -> None:
 @pytest.mark.parametrize("name", ["SRGGB10_PISP_COMP1", "R8", "SRGGB9", "SXYZW10", "RGB888"])
 def test_raw_formats_that_are_not_read_are_named(name: str) -> None:
     with pytest.raises(AnnulusError, match=name):
-        Mosaic.named(name)
+        RawFormat.named(name)
 
 
 def test_stamps_of_either_clock_are_on_the_monotonic_one_after_a_suspend() -> None:

@@ -10,25 +10,26 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 
 DRIFT_ORDER = 4  # of the slow curve along z; noise of a whole plane is a thousandth
 AIR_ROUND_DEG = 10.0  # standard deviation of what the air level is smoothed with round the pipe
 WILD = 4.0  # sigma at which a plain voxel is no part of the background
-ROUNDS = 2
+
+_wall = door("joints_wall", "f4[p,j,n] block", "f8[n] rho", "f8[p,j] inner", "f8[p,j] outer", "f4[p,j,u]! out")
+_background = door(
+    "joints_background", "f4[p,j,u] block", "f8[p] z", "b1[p] plain", "f8 spread", "f8[j,u]! base", "f8[j,u]! slope"
+)
+_relative = door("joints_relative", "f4[p,j,u]! block", "f8[p] z", "f8[j,u] base", "f8[j,u] slope")
 
 
-@jit
-def wall_samples(block, rho, inner, outer, out):  # type: ignore[no-untyped-def]
-    """out[plane, phi, depth]: grey at evenly spaced depths, centres of equal parts of the wall from inner to outer."""
-    step, n, parts = rho[1] - rho[0], len(rho), out.shape[2]
-    for p in range(block.shape[0]):
-        for j in range(block.shape[1]):
-            for u in range(parts):
-                r = inner[p, j] + (u + 0.5) / parts * (outer[p, j] - inner[p, j])
-                s = min(max((r - rho[0]) / step, 0.0), n - 1.001)
-                k = int(s)
-                out[p, j, u] = block[p, j, k] + (s - k) * (block[p, j, k + 1] - block[p, j, k])
+def wall_samples(
+    block: Float32Array, rho: FloatArray, inner: FloatArray, outer: FloatArray, depths: int
+) -> Float32Array:
+    """(Z, P, depths) grey in the middles of equal parts of the wall from inner to outer (Z, P). block : (Z, P, R)."""
+    out = np.empty((*block.shape[:2], depths), np.float32)
+    _wall(block, rho, inner, outer, out)
+    return out
 
 
 def air_level(air: FloatArray, plain: BoolArray) -> FloatArray:
@@ -36,41 +37,6 @@ def air_level(air: FloatArray, plain: BoolArray) -> FloatArray:
     sigma = AIR_ROUND_DEG / 360 * air.shape[1]
     smooth = gaussian_filter1d(np.nan_to_num(air, nan=float(np.nanmean(air))), sigma, axis=1, mode="wrap")
     return np.asarray(smooth - np.median(smooth[plain], axis=0))
-
-
-@jit
-def _background(block, z, plain, spread, base, slope):  # type: ignore[no-untyped-def]
-    """base, slope [phi, depth]: a robust line along z through the plain planes of block[z, phi, depth]."""
-    count = len(z)
-    for j in range(block.shape[1]):
-        for u in range(block.shape[2]):
-            a, b = 0.0, 0.0
-            for turn in range(3):
-                n, t, tt, v, tv = 0.0, 0.0, 0.0, 0.0, 0.0
-                for p in range(count):
-                    if not plain[p]:
-                        continue
-                    value = block[p, j, u]
-                    if turn > 0 and abs(value - a - b * z[p]) > spread:
-                        continue
-                    n += 1
-                    t += z[p]
-                    tt += z[p] * z[p]
-                    v += value
-                    tv += value * z[p]
-                det = n * tt - t * t
-                if n < 4 or det <= 0:
-                    continue
-                a, b = (tt * v - t * tv) / det, (n * tv - t * v) / det
-            base[j, u], slope[j, u] = a, b
-
-
-@jit
-def _relative(block, z, base, slope):  # type: ignore[no-untyped-def]
-    for p in range(block.shape[0]):
-        for j in range(block.shape[1]):
-            for u in range(block.shape[2]):
-                block[p, j, u] = block[p, j, u] / (base[j, u] + slope[j, u] * z[p]) - 1.0
 
 
 def relative_density(

@@ -134,9 +134,8 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     bore = rho < max(found.radius_mm - (1 + BORE[0]) * wall, rho[0] + 2 * step)
     for start, block in planes(volume, axis, z_mm, phi, rho):
         stop = start + len(block)
-        inner_part = surface[1][start:stop]
-        edges(block, rho, found.level, surface[0][start:stop], inner_part)
-        open_bore = bore & (rho < np.nan_to_num(inner_part, nan=np.inf)[:, :, None] - CLEAR_OF_BEAD * wall)
+        surface[0][start:stop], surface[1][start:stop] = edges(block, rho, found.level)
+        open_bore = bore & (rho < np.nan_to_num(surface[1][start:stop], nan=np.inf)[:, :, None] - CLEAR_OF_BEAD * wall)
         air[start:stop] = np.where(open_bore, block, 0.0).sum(axis=2) / np.maximum(open_bore.sum(axis=2), 1)
         air[start:stop][~open_bore.any(axis=2)] = np.nan
         progress("surfaces", stop, len(z_mm))
@@ -232,6 +231,6 @@ def _wall(
     wall = np.empty((len(z_mm), len(phi), depth), np.float32)
     for start, block in planes(volume, found.axis, z_mm, phi, rho):
         stop = start + len(block)
-        wall_samples(block, rho, low[start:stop], high[start:stop], wall[start:stop])
+        wall[start:stop] = wall_samples(block, rho, low[start:stop], high[start:stop], depth)
         progress("wall", stop, len(z_mm))
     return wall, low, high

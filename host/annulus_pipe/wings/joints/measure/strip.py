@@ -14,7 +14,6 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus_pipe.numeric.jit import jit
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.axis import VolumeAxis, fit_axis
@@ -31,7 +30,7 @@ from annulus_pipe.wings.joints.measure.image import (
     bead_over,
 )
 from annulus_pipe.wings.joints.measure.surface import edges, noise_along, plain_planes, sides_of
-from annulus_pipe.wings.joints.measure.unwrap import Volume, trilinear
+from annulus_pipe.wings.joints.measure.unwrap import Volume, sampled
 from annulus_pipe.wings.joints.measure.zone import zone_of
 
 LEAN_MAX_DEG = 10.0
@@ -104,10 +103,9 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     z_mm: FloatArray = np.arange(lost, (volume.shape[0] - 1) * dz * along - lost, dz)
     if len(z_mm) < 16:
         raise AnnulusError(f"{len(z_mm) * dz:.1f} mm of a strip: too short")
-    surface = [np.empty((len(z_mm), len(aside))) for _ in range(2)]
     for _ in range(2):  # once more with what the faces said of their own tilt
         block = _block(volume, pose, z_mm, aside, rho, progress)
-        edges(block, rho, level, *surface)
+        surface = edges(block, rho, level)
         tilt = theilslopes(nan_median(0.5 * (surface[0] + surface[1])), aside).slope
         pose = replace(pose, normal=pose.normal - math.atan(tilt))
     # Curved across as the pipe was: what that adds is the same in all planes.
@@ -149,7 +147,7 @@ def _zone(
     block: Float32Array,
     rho: FloatArray,
     z_mm: FloatArray,
-    surface: list[FloatArray],
+    surface: tuple[FloatArray, FloatArray],
     plain: BoolArray,
     air_grey: float,
     joint: float,
@@ -162,8 +160,7 @@ def _zone(
     """W, its sigma, drop, its sigma; NaN where no zone is told."""
     # The plain faces' own shape across the strip, straight along it.
     low, high = (sides_of(face, z_mm, plain, joint, 0.0).along(z_mm) for face in (surface[1], surface[0]))
-    walls = np.empty((*block.shape[:2], max(8, math.ceil(wall / voxel))), np.float32)
-    wall_samples(block, rho, low, high, walls)
+    walls = wall_samples(block, rho, low, high, max(8, math.ceil(wall / voxel)))
     reach = max(float(np.nanmax(surface[0])), -float(np.nanmin(surface[1])))
     beyond = (np.abs(rho) > reach + AIR[0] * wall) & (np.abs(rho) < reach + AIR[1] * wall)
     air = block[:, :, beyond].mean(axis=2).astype(float) if beyond.any() else np.full(block.shape[:2], air_grey)
@@ -256,35 +253,19 @@ def _block(
     volume: Volume, pose: _Pose, z_mm: FloatArray, aside: FloatArray, rho: FloatArray, progress: Progress
 ) -> Float32Array:
     """(Z, U, R) grey at right angles to the strip: along it, across its width, through its thickness."""
-    dz, dy, dx = volume.voxel_mm
+    dz = volume.voxel_mm[0]
     across, down, along = pose.axis.frame()
     through = math.cos(pose.normal) * across + math.sin(pose.normal) * down
     wide = np.cross(along, through)
-    voxel, origin = np.array([dx, dy, dz]), np.array([pose.axis.x_mm, pose.axis.y_mm, 0.0])
+    origin = np.array([pose.axis.x_mm, pose.axis.y_mm, 0.0])
+    rays = (aside[:, None] * wide, np.repeat(through[None], len(aside), axis=0))
     reach = abs(rho).max() * abs(through[2]) + abs(aside).max() * abs(wide[2])
     out = np.empty((len(z_mm), len(aside), len(rho)), np.float32)
     for start in range(0, len(z_mm), PLANES_AT_ONCE):
         z = z_mm[start : start + PLANES_AT_ONCE]
         low = int(np.clip(np.floor((z[0] * along[2] - reach) / dz), 0, volume.shape[0] - 2))
         high = int(np.clip(np.ceil((z[-1] * along[2] + reach) / dz) + 2, low + 2, volume.shape[0]))
-        _sample(volume.slices(low, high), low, voxel, origin, through, wide, along, rho, aside, z, out[start:])
+        slab = volume.slices(low, high)
+        out[start : start + len(z)] = sampled(slab, low, volume.voxel_mm, origin, along, z, rays, rho, to_edge=True)
         progress("strip", start + len(z), len(z_mm))
     return out
-
-
-@jit
-def _sample(slab, first, voxel, origin, through, wide, along, rho, aside, z, out):  # type: ignore[no-untyped-def]
-    """out[plane, aside, rho] trilinear, the edge's grey outside the slab. Directions and origin in x, y, z, mm."""
-    depth, rows, columns = slab.shape
-    for p in range(len(z)):
-        for j in range(len(aside)):
-            for k in range(len(rho)):
-                x = (origin[0] + z[p] * along[0] + aside[j] * wide[0] + rho[k] * through[0]) / voxel[0]
-                y = (origin[1] + z[p] * along[1] + aside[j] * wide[1] + rho[k] * through[1]) / voxel[1]
-                s = (origin[2] + z[p] * along[2] + aside[j] * wide[2] + rho[k] * through[2]) / voxel[2] - first
-                x, y, s = (
-                    min(max(x, 0.0), columns - 1.001),
-                    min(max(y, 0.0), rows - 1.001),
-                    min(max(s, 0.0), depth - 1.001),
-                )
-                out[p, j, k] = trilinear(slab, x, y, s)

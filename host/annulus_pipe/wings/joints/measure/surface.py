@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.special import erf
 
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -29,27 +29,14 @@ SLOPE_ORDERS = 3  # Fourier orders of the angle in a side's slope along z
 FLOOR_RATIO, CUSP_RATIO = 3.0, 2.8
 CLEAR = 0.35  # of the wall: so far from a bead's foot is the wall plain
 
+_edges = door("joints_edges", "f4[p,j,n] block", "f8[n] rho", "f8 level", "f8[p,j]! outer", "f8[p,j]! inner")
 
-@jit
-def edges(block, rho, level, outer, inner):  # type: ignore[no-untyped-def]
-    """outer, inner [plane, phi]: mm of the outermost and innermost crossing of `level` along rho; NaN if none."""
-    n = len(rho)
-    for p in range(block.shape[0]):
-        for j in range(block.shape[1]):
-            outer[p, j] = np.nan
-            inner[p, j] = np.nan
-            for k in range(n - 2, -1, -1):
-                if block[p, j, k] > level:
-                    if block[p, j, k + 1] <= level:
-                        part = (block[p, j, k] - level) / (block[p, j, k] - block[p, j, k + 1])
-                        outer[p, j] = rho[k] + part * (rho[k + 1] - rho[k])
-                    break
-            for k in range(1, n):
-                if block[p, j, k] > level:
-                    if block[p, j, k - 1] <= level:
-                        part = (block[p, j, k] - level) / (block[p, j, k] - block[p, j, k - 1])
-                        inner[p, j] = rho[k] - part * (rho[k] - rho[k - 1])
-                    break
+
+def edges(block: Float32Array, rho: FloatArray, level: float) -> tuple[FloatArray, FloatArray]:
+    """(Z, P) mm of the outermost and innermost crossing of `level` along rho, both; NaN where there is none."""
+    outer, inner = np.empty(block.shape[:2]), np.empty(block.shape[:2])
+    _edges(block, rho, level, outer, inner)
+    return outer, inner
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,26 @@ from typing import Protocol
 import numpy as np
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.wings.joints.measure.axis import VolumeAxis
 
 PLANES_AT_ONCE = 16
 VOXELS_AT_ONCE = 1 << 26  # of slices held: 256 MB of float32
+
+_sampled = door(
+    "joints_sampled",
+    "f4[d,r,c] slab",
+    "i8 first",
+    "f8[3] voxel",
+    "f8[3] origin",
+    "f8[3] along",
+    "f8[p] z",
+    "f8[j,3] beside",
+    "f8[j,3] way",
+    "f8[k] rho",
+    "b1 to_edge",
+    "f4[p,j,k]! out",
+)
 
 
 class Volume(Protocol):
@@ -43,44 +58,28 @@ class ArrayVolume:
         return np.ascontiguousarray(self.grey[start:stop], dtype=np.float32)
 
 
-@jit
-def trilinear(slab, x, y, s):  # type: ignore[no-untyped-def]
-    """Grey at column x, row y, slice s of slab[slice, row, column], within it."""
-    depth, rows, columns = slab.shape
-    i0 = min(int(x), columns - 2)
-    j0 = min(int(y), rows - 2)
-    k0 = min(max(int(s), 0), depth - 2)
-    fx, fy, fz = x - i0, y - j0, s - k0
-    low = (slab[k0, j0, i0] * (1 - fx) + slab[k0, j0, i0 + 1] * fx) * (1 - fy) + (
-        slab[k0, j0 + 1, i0] * (1 - fx) + slab[k0, j0 + 1, i0 + 1] * fx
-    ) * fy
-    high = (slab[k0 + 1, j0, i0] * (1 - fx) + slab[k0 + 1, j0, i0 + 1] * fx) * (1 - fy) + (
-        slab[k0 + 1, j0 + 1, i0] * (1 - fx) + slab[k0 + 1, j0 + 1, i0 + 1] * fx
-    ) * fy
-    return low * (1 - fz) + high * fz
+def sampled(
+    slab: Float32Array,
+    first: int,
+    voxel_mm: tuple[float, float, float],
+    origin: FloatArray,
+    along: FloatArray,
+    z: FloatArray,
+    rays: tuple[FloatArray, FloatArray],
+    rho: FloatArray,
+    to_edge: bool = False,
+) -> Float32Array:
+    """(Z, J, R) grey between voxels, at origin + z along + beside + rho way: of slices from `first` on.
 
-
-@jit
-def _sample(slab, first, voxel, origin, across, down, along, cos, sin, rho, z, out):  # type: ignore[no-untyped-def]
-    """out[plane, phi, rho] trilinear; NaN outside the slab. voxel, origin and directions in x, y, z; origin in mm."""
-    depth, rows, columns = slab.shape
-    for p in range(len(z)):
-        ax = origin[0] + z[p] * along[0]
-        ay = origin[1] + z[p] * along[1]
-        az = origin[2] + z[p] * along[2]
-        for j in range(len(cos)):
-            ux = cos[j] * across[0] + sin[j] * down[0]
-            uy = cos[j] * across[1] + sin[j] * down[1]
-            uz = cos[j] * across[2] + sin[j] * down[2]
-            for k in range(len(rho)):
-                x = (ax + rho[k] * ux) / voxel[0]
-                y = (ay + rho[k] * uy) / voxel[1]
-                s = (az + rho[k] * uz) / voxel[2] - first
-                # A hair outside by rounding is inside: the first and last slice count.
-                if not (0 <= x <= columns - 1 and 0 <= y <= rows - 1 and -1e-6 <= s <= depth - 1 + 1e-6):
-                    out[p, j, k] = np.nan
-                    continue
-                out[p, j, k] = trilinear(slab, x, y, s)
+    origin, along (3,), rays: beside and way, (J, 3) both, in x, y, z, mm. Outside the slab NaN, or the edge's grey.
+    """
+    dz, dy, dx = voxel_mm
+    beside, way = rays
+    out = np.empty((len(z), len(beside), len(rho)), np.float32)
+    _sampled(
+        np.ascontiguousarray(slab), first, np.array([dx, dy, dz]), origin, along, z, beside, way, rho, to_edge, out
+    )
+    return out
 
 
 def planes(
@@ -96,12 +95,12 @@ def planes(
 
     NaN where the volume does not reach.
     """
-    dz, dy, dx = volume.voxel_mm
-    voxel = np.array([dx, dy, dz])
+    dz = volume.voxel_mm[0]
     across, down, along = axis.frame()
     origin = np.array([axis.x_mm, axis.y_mm, 0.0])
     reach = abs(rho_mm).max() * np.hypot(across[2], down[2])
-    cos, sin = np.cos(phi), np.sin(phi)
+    way = np.cos(phi)[:, None] * across + np.sin(phi)[:, None] * down
+    rays = (np.zeros_like(way), way)
     held, first = np.empty((0, *volume.shape[1:]), np.float32), 0
     at_once = int(
         np.clip(VOXELS_AT_ONCE // (volume.shape[1] * volume.shape[2]) - 2 * reach / dz - 2, 1, PLANES_AT_ONCE)
@@ -114,6 +113,4 @@ def planes(
         known = low + len(kept)
         held = kept if high <= known else np.concatenate([kept, volume.slices(known, high)])
         first = low
-        out = np.empty((len(z), len(phi), len(rho_mm)), np.float32)
-        _sample(held, first, voxel, origin, across, down, along, cos, sin, rho_mm, z, out)
-        yield start, out
+        yield start, sampled(held, first, volume.voxel_mm, origin, along, z, rays, rho_mm)

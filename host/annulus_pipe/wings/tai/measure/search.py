@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from annulus_pipe.controller import CHIPS_MAX
 from annulus_pipe.numeric.arrays import Chips
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.vocabulary import AnnulusError
 
 EXHAUSTIVE_MAX = 28  # chips; twice the time for each more. Guard: test_bad_input_is_one_line (templates)
+
+_code = door("tai_code", "i8 length", "i8 bound", returns="u8")
 
 
 def least_peak_sidelobe(length: int) -> tuple[NDArray[np.int8], int]:
@@ -22,11 +24,10 @@ def least_peak_sidelobe(length: int) -> tuple[NDArray[np.int8], int]:
     """
     if not 2 <= length <= EXHAUSTIVE_MAX:
         raise AnnulusError(f"a search over codes of {length} chips, expected 2..{EXHAUSTIVE_MAX}")
-    code = np.ones(length, np.int8)
     bound = 1
-    while not _search(code, bound):
+    while not (chips := int(_code(length, bound))):
         bound += 1
-    return code, bound
+    return np.array([1 if chips >> i & 1 else -1 for i in range(length)], np.int8), bound
 
 
 def on_off_gain_db(chips: Chips, points: int = 4096) -> float:
@@ -90,49 +91,3 @@ def _climb(code: Chips, points: int) -> tuple[Chips, float]:
 def _gains(spectra: NDArray[np.complex128], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     power = np.maximum(spectra.real**2 + spectra.imag**2, 1e-12)
     return np.asarray(-10 * np.log10((weight / power).sum(axis=-1) / weight.sum()))
-
-
-@jit
-def _search(code, bound):  # type: ignore[no-untyped-def]
-    """Fills `code` with the first one whose sidelobes are at most `bound`; False where there is none.
-
-    Chips are set in pairs from both ends inwards; sidelobe s is known once the s outermost chips of both ends are.
-    """
-    length = len(code)
-    half = (length + 1) // 2
-    choice = np.zeros(half + 1, np.int64)
-    depth = 0
-    choice[0] = 0
-    while depth >= 0:
-        pair = 2 if length - 1 - depth == depth else 4
-        if choice[depth] >= pair or (depth == 0 and choice[0] >= 2):  # the first chip is +1
-            depth -= 1
-            if depth >= 0:
-                choice[depth] += 1
-            continue
-        first = 1 - 2 * (choice[depth] & 2) // 2 if depth else 1
-        last = 1 - 2 * (choice[depth] & 1)
-        if pair == 2:
-            first = last
-        code[depth], code[length - 1 - depth] = first, last
-        lag = length - 1 - depth
-        total = 0
-        for i in range(depth + 1):
-            total += code[i] * code[i + lag]
-        good = abs(total) <= bound
-        if good and depth == half - 1:
-            for s in range(1, length):
-                total = 0
-                for i in range(length - s):
-                    total += code[i] * code[i + s]
-                if abs(total) > bound:
-                    good = False
-                    break
-            if good:
-                return True
-        if good and depth < half - 1:
-            depth += 1
-            choice[depth] = 0
-        else:
-            choice[depth] += 1
-    return False
