@@ -98,7 +98,7 @@ class Like:
         return int(value.__array_interface__["data"][0])
 
 
-class Door:
+class LoopDoor:
     """A function of the library; see the module."""
 
     def __init__(self, name: str, *arguments: str, returns: str = "") -> None:
@@ -169,9 +169,9 @@ class Door:
         return function  # type: ignore[no-any-return]
 
 
-DOORS: list[Door] = []  # all that were declared, for the test that holds them to the C
+DOORS: list[LoopDoor] = []  # all that were declared, for the test that holds them to the C
 
 
-def door(name: str, *arguments: str, returns: str = "") -> Door:
-    DOORS.append(Door(name, *arguments, returns=returns))
+def door(name: str, *arguments: str, returns: str = "") -> LoopDoor:
+    DOORS.append(LoopDoor(name, *arguments, returns=returns))
     return DOORS[-1]

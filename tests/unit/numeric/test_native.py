@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import annulus_pipe
-from annulus_pipe.numeric.native import DOORS, Door
+from annulus_pipe.numeric.native import DOORS, LoopDoor
 
 NATIVE = Path(__file__).resolve().parents[3] / "host/native"
 OF_C = {
@@ -54,7 +54,7 @@ def test_every_door_is_declared_as_its_function_is_in_c() -> None:
 
 
 def test_an_array_that_is_not_as_declared_is_refused_before_any_memory_is_touched() -> None:
-    copied = Door("no_such_function", "f8[n,3] points", "i8[n] rank", "f8[n]! out", "f4[n]? weight")
+    copied = LoopDoor("no_such_function", "f8[n,3] points", "i8[n] rank", "f8[n]! out", "f4[n]? weight")
     points, rank, out = np.zeros((4, 3)), np.zeros(4, np.int64), np.zeros(4)
     wrong = {
         "a size that disagrees": (points, rank[:3], out, None),
