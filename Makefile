@@ -4,8 +4,10 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
-# Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
+# Containers are often made with the first set: then every process compiles all it imports anew, 3 s of each, and a scan
+# has eight. So what is installed is compiled by whoever installs it, once, and annulus itself by `setup`.
 export PYTHONDONTWRITEBYTECODE :=
+export UV_COMPILE_BYTECODE := 1
 
 # What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
 EXTRAS ?= export pdf console archive
@@ -14,6 +16,7 @@ EXTRAS ?= export pdf console archive
 
 # What a user needs.
 setup: .venv/.synced native
+	@$(BIN)/python -m compileall -q host/annulus_pipe
 	@$(if $(filter command% environment%,$(origin EXTRAS)),$(UV) sync --frozen --inexact --no-dev $(EXTRAS:%=--extra %) --quiet)
 
 # .. and what only tests and checks do: all extras, all development tools.

@@ -4,7 +4,6 @@ h5py = need("h5py")  # h5py is not installed: it is part of the extra "tai". ../
 """
 
 import importlib
-import importlib.metadata
 import re
 import sys
 from collections.abc import Sequence
@@ -78,6 +77,8 @@ def adds(extra: str, prefix: Path | None = None) -> str:
 
 def requirements(extra: str) -> Sequence[str]:
     """What an extra consists of, as pip takes it."""
-    listed = importlib.metadata.requires("annulus-pipe") or []
+    from importlib.metadata import requires  # 15 ms, of an error alone
+
+    listed = requires("annulus-pipe") or []
     named = re.compile(rf"""extra\s*==\s*["']{re.escape(extra)}["']""")
     return [one.partition(";")[0].strip() for one in listed if named.search(one)]

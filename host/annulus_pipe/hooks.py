@@ -10,7 +10,7 @@ core knows of it, and none costs an import before it is called (so no module of 
        sheet(survey) -> Sheet | None                      that, drawn for the report
     4  worlds() -> {name: seed -> World}                  pipes and heads of the twin
        lights() -> {name: type}                           what a world may hold: projectors, the ground around a pipe
-    5  app() -> {noun: commands}                          a noun of its own, or more commands of one that is there
+    5  app() -> {name: Noun}                              a noun of its own, or more verbs of one that is there
 
 How each is used: docs/ARCHITECTURE.md, "A wing". The core imports this module and no wing (`lint-imports`).
 """
@@ -34,6 +34,14 @@ class Sheet(NamedTuple):
     shows: str
     note: str
     summary: Mapping[str, Any]
+
+
+class Noun(NamedTuple):
+    """Of the command line. module : whose `app`, a typer.Typer, has its verbs; imported when one is asked for. about :
+    what `--help` says of it; of no use where the noun is another's."""
+
+    module: str
+    about: str = ""
 
 
 class WingJob(Protocol):
@@ -115,6 +123,6 @@ def merged(hook: str) -> dict[str, Any]:
     return out
 
 
-def nouns() -> Iterator[tuple[str, Any]]:
-    """`app` of all wings: several may have commands of one noun."""
+def nouns() -> Iterator[tuple[str, Noun]]:
+    """`app` of all wings: several may have verbs of one noun."""
     return (pair for each in _those_with("app") for pair in each().items())

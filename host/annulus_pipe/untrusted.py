@@ -12,13 +12,10 @@ import re
 import reprlib
 import stat
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import msgpack
 
 DEPTH_MAX = 32  # of values within values; what annulus writes has six
 WHOLE_MAX = 1 << 64  # a whole number is a count or a time
@@ -128,6 +125,8 @@ def parse_toml(data: bytes) -> dict[str, Any]:
     for number, line in enumerate(data.split(b"\n"), start=1):
         if line.count(b".") > _DOTS_MAX:
             raise ValueError(f"line {number}: {line.count(b'.')} dots, expected at most {_DOTS_MAX}")
+    import tomllib  # every process imports this module, and few parse TOML, or a message
+
     try:
         found: dict[str, Any] = sane(
             tomllib.loads(data.decode("utf-8")), finite=False
@@ -172,6 +171,8 @@ def unpack(packed: bytes, limit: int) -> Any:
     """One msgpack value of at most `limit` bytes; ValueError on anything else, whatever msgpack calls it."""
     if len(packed) > limit:
         raise ValueError(f"message of {len(packed)} bytes, at most {limit} expected")
+    import msgpack
+
     try:
         value = msgpack.unpackb(packed)  # lengths inside are bounded by len(packed)
     except (ValueError, TypeError, msgpack.exceptions.UnpackException, RecursionError) as error:

@@ -7,11 +7,15 @@
 #ifndef ANNULUS_NATIVE_H
 #define ANNULUS_NATIVE_H
 
+#include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 
 #define DOOR __attribute__((visibility("default")))
+#define NOTHING ((double)NAN)  // where there is none
 #define INLINE static inline __attribute__((always_inline))
+// One copy, however often it is called: what runs once a frame is mostly waiting for its code to come from memory.
+#define ONCE static __attribute__((noinline, noclone, unused))
 
 INLINE int64_t least(const int64_t a, const int64_t b)
 {
@@ -40,6 +44,11 @@ INLINE float held_f(const float value, const float low, const float high)
 INLINE int64_t whole(const double value, const int64_t low, const int64_t high)
 {
     return (int64_t)held(value, (double)low, (double)high);
+}
+
+INLINE int64_t bounded(const int64_t value, const int64_t low, const int64_t high)
+{
+    return most(low, least(value, high));
 }
 
 // A place at most one turn off, on a circle of that size: what % gives, without a division.

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from annulus_pipe.hooks import Sheet, WingResults
+from annulus_pipe.hooks import Noun, Sheet, WingResults
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,14 @@ def worlds() -> Mapping[str, Callable[[int], Any]]:
     return {"tank": clean_world}
 
 
-def app() -> Mapping[str, Any]:
-    from annulus_pipe.wings.ultrasound import commands
-
-    return {"ultrasound": commands.app}
+def app() -> Mapping[str, Noun]:
+    return {"ultrasound": Noun("annulus_pipe.wings.ultrasound.commands", "Echoes of an ultrasonic head.")}
 '''
 COMMANDS = '''"""`annulus ultrasound`."""
 
-from annulus_pipe.cli.show import group
+from annulus_pipe.cli.show import verbs
 
-app = group("Echoes of an ultrasonic head.")
+app = verbs()
 
 
 @app.command("listen", epilog="Example: annulus ultrasound listen")
@@ -128,13 +126,13 @@ def test_a_wing_that_cannot_be_loaded_is_one_line_and_two_may_share_a_noun(fifth
     other.mkdir()
     shared = """
 from typer import Typer
-more = Typer()
-more.command("zeta")(lambda: print("zeta"))
-more.command("eta")(lambda: print("eta"))
-def app():
-    return {"calibrate": more}
+app = Typer()
+app.command("zeta")(lambda: print("zeta"))
 """
-    (other / "__init__.py").write_text(shared)
+    (other / "commands.py").write_text(shared)
+    (other / "__init__.py").write_text(
+        "from annulus_pipe.hooks import Noun\n\ndef app():\n    return {'calibrate': Noun(f'{__name__}.commands')}\n"
+    )
     assert "zeta" in run(fifth, main, "calibrate", "--help").stdout
     assert run(fifth, main, "calibrate", "fringe", "--help").returncode == 0
     (other / "__init__.py").write_text("def worlds():\n    return {'tank': None}\n")

@@ -20,12 +20,14 @@ def tree() -> Iterator[tuple[str, Any]]:
 
 def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
     yield name, command
-    for verb, below in getattr(command, "commands", {}).items():
-        yield from _below(f"{name} {verb}", below)
+    if is_group(command):
+        context = typer.Context(command)
+        for verb in command.list_commands(context):
+            yield from _below(f"{name} {verb}", command.get_command(context, verb))
 
 
 def is_group(command: Any) -> bool:
-    return bool(getattr(command, "commands", None))
+    return hasattr(command, "list_commands")
 
 
 def examples() -> Iterator[tuple[str, str]]:

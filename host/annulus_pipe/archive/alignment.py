@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.ndimage import gaussian_filter1d, median_filter
 
 from annulus_pipe.archive.chain import believed_states, joined, likeliest, row_costs
 from annulus_pipe.archive.detail import COLUMNS, Detail, believed, detail_of, smoothed
 from annulus_pipe.archive.wall_map import WallMap
 from annulus_pipe.archive.whereabouts import SCALE, STRETCH_MM, MatchedStretch, find
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -317,7 +317,7 @@ class _Laying:
         """(Z,) the places without their steps."""
         even = self.scale * self.second.step_mm * np.arange(len(self.place))
         half = max(round(STAYS_MM / self.second.step_mm), 3)
-        return np.asarray(even + median_filter(self.place - even, 2 * half + 1, mode="nearest"))
+        return np.asarray(even + ndimage.median_filter(self.place - even, 2 * half + 1, mode="nearest"))
 
     def _slips(self) -> BoolArray:
         """Rows before which the place leaps and stays so: what leaps and comes back is a misfit."""
@@ -427,7 +427,7 @@ class _Laying:
         """One step towards the least of all rows' costs and of a random walk of `now`; and what is left unknown."""
         pull = -(costs[:, 2] - costs[:, 0]) / (2 * h)
         bent = (costs[:, 2] - 2 * costs[:, 1] + costs[:, 0]) / h**2
-        weight = np.maximum(gaussian_filter1d(bent, 10.0, mode="nearest"), 0.0)
+        weight = np.maximum(ndimage.gaussian_filter1d(bent, 10.0, mode="nearest"), 0.0)
         held = np.zeros(len(now))
         gap = np.diff(now) * tie
         held[:-1] += gap

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter
 
 from annulus_pipe.archive.wall_map import WallMap
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
 
 ORDERS = 3  # 0, 1 and 2
@@ -138,7 +138,7 @@ def calmed(series: ComplexArray, median_mm: float, step_mm: float) -> ComplexArr
     whole = _filled(series.real) + 1j * _filled(series.imag)
     rows = max(2 * round(median_mm / step_mm / 2) + 1, 3)
     parts = [
-        gaussian_filter1d(median_filter(part, rows, mode="nearest"), rows / 6, mode="nearest")
+        ndimage.gaussian_filter1d(ndimage.median_filter(part, rows, mode="nearest"), rows / 6, mode="nearest")
         for part in (whole.real, whole.imag)
     ]
     return np.asarray(parts[0] + 1j * parts[1])
@@ -152,7 +152,7 @@ def calm_roll(roll_deg: FloatArray, step_mm: float) -> FloatArray | None:
     rolled = np.full(len(roll_deg), np.nan)
     rolled[known] = np.unwrap(roll_deg[known], period=360.0)
     rows = max(2 * round(IMU_MM / step_mm / 2) + 1, 3)
-    return np.asarray(median_filter(_filled(rolled), rows, mode="nearest"))
+    return np.asarray(ndimage.median_filter(_filled(rolled), rows, mode="nearest"))
 
 
 def _filled(series: FloatArray) -> FloatArray:
@@ -166,8 +166,8 @@ def smoothed(field: Float32Array, sigma: tuple[float, float]) -> Float32Array:
     """A field with NaN, smoothed by a normal curve over rows and, round the pipe, columns; NaN of what was unseen."""
     seen = np.isfinite(field)
     mode = ("nearest", "wrap")
-    weight = gaussian_filter(seen.astype(np.float32), sigma, mode=mode)
-    total = gaussian_filter(np.where(seen, field, np.float32(0)), sigma, mode=mode)
+    weight = ndimage.gaussian_filter(seen.astype(np.float32), sigma, mode=mode)
+    total = ndimage.gaussian_filter(np.where(seen, field, np.float32(0)), sigma, mode=mode)
     return np.where(weight > SEEN_MIN, total / np.maximum(weight, 1e-6), np.float32(np.nan))
 
 
@@ -180,5 +180,5 @@ def believed(calm: Float32Array, raw: Float32Array, alike_cells: float) -> Float
     bends = np.roll(raw, 1, axis=1) - 2 * raw + np.roll(raw, -1, axis=1)
     bends = bends[np.isfinite(bends)]
     noise = SIGMA_OF_MAD * float(np.median(np.abs(bends))) / np.sqrt(6.0 * alike_cells) if bends.size else 0.0
-    power = gaussian_filter(np.square(np.nan_to_num(calm)), (NEAR_CELLS, NEAR_CELLS), mode=("nearest", "wrap"))
+    power = ndimage.gaussian_filter(np.square(np.nan_to_num(calm)), (NEAR_CELLS, NEAR_CELLS), mode=("nearest", "wrap"))
     return np.asarray(calm * np.maximum(1 - np.float32(DOUBT * noise**2) / np.maximum(power, 1e-12), 0), np.float32)

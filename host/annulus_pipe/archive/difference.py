@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, median_filter
 
 from annulus_pipe.archive.alignment import BARE, Alignment
 from annulus_pipe.archive.detail import WAVES_MM, calmed, drawn, on_columns, smoothed, waves_of
 from annulus_pipe.archive.floors import Floor
 from annulus_pipe.archive.wall_map import WallMap
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 
 BLOCK_MM = 160.0  # over which noise is one, along and round
@@ -135,10 +135,12 @@ class Laid:
             part = part[np.isfinite(part)]
             if part.size > rows * cells / 4:
                 blocks[i, j] = SIGMA_OF_MAD * float(np.median(part))
-        blocks = median_filter(np.pad(blocks, ((1, 1), (0, 0)), "edge"), (3, 3), mode="wrap")[1:-1]
+        blocks = ndimage.median_filter(np.pad(blocks, ((1, 1), (0, 0)), "edge"), (3, 3), mode="wrap")[1:-1]
         blocks = np.maximum(blocks, whole / 2)
         spread = np.repeat(np.repeat(blocks, rows, axis=0), cells, axis=1)[: scaled.shape[0], : scaled.shape[1]]
-        return np.asarray(gaussian_filter(spread, (rows / 4, cells / 4), mode=("nearest", "wrap")).astype(np.float32))
+        return np.asarray(
+            ndimage.gaussian_filter(spread, (rows / 4, cells / 4), mode=("nearest", "wrap")).astype(np.float32)
+        )
 
     def _slopes(self, field: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
         """(Z, A) how steep along, mm a mm; round, mm a column; and the second difference along, mm. 0 unseen."""

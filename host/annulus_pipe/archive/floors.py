@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 
 BELLS_MM = (5.0, 12.0, 25.0)  # sigma
@@ -281,4 +281,6 @@ def _least_squares(
 
 
 def _blur(field: Float32Array, sigma: float, axis: int) -> Float32Array:
-    return np.asarray(gaussian_filter1d(field, sigma, axis=axis, mode="wrap" if axis else "constant", truncate=3.0))
+    return np.asarray(
+        ndimage.gaussian_filter1d(field, sigma, axis=axis, mode="wrap" if axis else "constant", truncate=3.0)
+    )

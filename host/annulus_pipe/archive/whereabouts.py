@@ -9,12 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
-from scipy.ndimage import maximum_filter
 
 from annulus_pipe.archive.detail import Detail
 from annulus_pipe.archive.wall_map import WallMap
 from annulus_pipe.numeric.arrays import ComplexArray, Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import fft, ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 
 BIN_MM = 8.0  # a third of what texture is alike over
@@ -155,7 +154,7 @@ def _candidates(
     evidence = np.minimum(0.5 * (alike / chance) * np.abs(alike / chance), MOST)
     evidence -= _against(one.oval[low:high], other.oval[start : start + rows], lags, columns) * share[:, None]
     out = []
-    peak = (evidence == maximum_filter(evidence, (5, 9), mode=("nearest", "wrap"))) & (evidence > 0)
+    peak = (evidence == ndimage.maximum_filter(evidence, (5, 9), mode=("nearest", "wrap"))) & (evidence > 0)
     where = np.argwhere(peak)
     for lag, turn in where[np.argsort(-evidence[tuple(where.T)])][:CANDIDATES]:
         roll = (turn * 360.0 / columns + 180.0) % 360.0 - 180.0

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe import untrusted
 from annulus_pipe.calibrate.camera import CameraCalibration
 from annulus_pipe.geometry.calibration import camera_to_dict
 from annulus_pipe.geometry.seen_by_both import Moment, PlacedCamera, place_second
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import transform
 from annulus_pipe.rings.calibration.bundle import Solution, turned_by
 from annulus_pipe.storage.calibration_file import update_calibration
 from annulus_pipe.vocabulary import AnnulusError
@@ -42,7 +42,7 @@ class BothCameras:
         """Plain numbers, degrees and mm."""
         sigma = np.sqrt(np.diag(self.placed.covariance))
         return {
-            "turned_deg": float(np.degrees(Rotation.from_matrix(self.placed.rotation).magnitude())),
+            "turned_deg": float(np.degrees(transform.Rotation.from_matrix(self.placed.rotation).magnitude())),
             "turned_sigma_deg": float(np.degrees(sigma[:3].max())),
             "centre_mm": self.placed.centre_mm.tolist(),
             "centre_sigma_mm": sigma[3:].tolist(),
@@ -164,8 +164,8 @@ def disagreement(target: TargetPlacement, camera: int, number: int, solution: So
     placed = solution.cameras[number]
     own = solution.camera_covariance[6 * number : 6 * number + 6, 6 * number : 6 * number + 6]
     to_turn = np.eye(6)
-    to_turn[:3, :3] = turned_by(Rotation.from_matrix(placed.rotation).as_rotvec())
-    turn = Rotation.from_matrix(placed.rotation @ target.rotation.T).as_rotvec()
+    to_turn[:3, :3] = turned_by(transform.Rotation.from_matrix(placed.rotation).as_rotvec())
+    turn = transform.Rotation.from_matrix(placed.rotation @ target.rotation.T).as_rotvec()
     off = np.concatenate([turn, placed.centre_mm - target.centre_mm])
     sigma = np.sqrt(np.diag(to_turn @ own @ to_turn.T + target.covariance))
     return Disagreement(

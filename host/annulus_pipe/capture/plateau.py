@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from annulus_pipe.capture.timing import FrameTiming
+from annulus_pipe.numeric.late import optimize
 from annulus_pipe.vocabulary import AnnulusError
 
 Array = NDArray[np.float64]
@@ -203,7 +203,7 @@ class _PlateauFit:
         begin = self._begin(timing)
         low = [-0.5 * self._period, 0.0, 0.0, 0.0]
         high = [self._period, 1.5 * self._period, self._period, float(light.min()) + 1.0]
-        found = least_squares(
+        found = optimize.least_squares(
             lambda x: self._residual(x).ravel(),
             np.clip(begin, np.add(low, 1e-6), np.subtract(high, 1e-6)),
             bounds=(low, high),

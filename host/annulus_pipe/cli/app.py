@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from annulus_pipe.cli import archive, calibrate, doctor, firmware, head, pattern, record, reference, selftest, twin
 from annulus_pipe.cli import console as console_page
+from annulus_pipe.cli import doctor
 from annulus_pipe.cli.export import export
 from annulus_pipe.cli.manual import docs
+from annulus_pipe.cli.nouns import add_nouns
 from annulus_pipe.cli.pdf import PaperSize, on_paper
 from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus_pipe.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
@@ -23,7 +24,7 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
-from annulus_pipe.hooks import nouns, opened
+from annulus_pipe.hooks import opened
 from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
@@ -45,14 +46,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, calibrate, reference, pattern, archive, firmware, selftest, twin, record):
-    app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
-for _name, _commands in nouns():  # of a noun that is there, or a noun of the wing's own
-    _there = next((one.typer_instance for one in app.registered_groups if one.name == _name), None)
-    if _there is None:
-        app.add_typer(_commands, name=_name)
-    else:
-        _there.registered_commands += _commands.registered_commands
+add_nouns(app)
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
 app.command(epilog=REPROCESS_EXAMPLE)(reprocess)

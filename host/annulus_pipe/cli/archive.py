@@ -14,7 +14,7 @@ import typer
 
 from annulus_pipe.cli.compare import EXAMPLE as COMPARE_EXAMPLE
 from annulus_pipe.cli.compare import compare
-from annulus_pipe.cli.show import Json, group, progress, tell
+from annulus_pipe.cli.show import Json, progress, tell, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from annulus_pipe.archive.catalogue.pieces import DamagedFile
     from annulus_pipe.archive.catalogue.query import QueryResult
 
-app = group("Surveys of many pipes over the years: a catalogue of them, and questions to it.")
+app = verbs()
 app.command(epilog=COMPARE_EXAMPLE)(compare)
 
 Archive = Annotated[Path, typer.Option("--archive", "-a", help="Folder of the catalogue.")]

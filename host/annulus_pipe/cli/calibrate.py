@@ -7,18 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, progress
+from annulus_pipe.cli.show import Json, progress, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.calibrate.camera import CameraCalibration
 
-app = group("Measure the head: camera, rings, colours. Every answer goes into one calibration.json.")
-
-
-@app.callback()
-def _calibrate() -> None:
-    """Commands below share one file: each replaces its own sections and keeps the others."""
+app = verbs()
 
 
 @app.command("camera", epilog="Example: annulus calibrate camera target/*.jpg --square-mm 25 -o head-7.json")

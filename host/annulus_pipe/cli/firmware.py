@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, print_fields, progress
+from annulus_pipe.cli.show import Json, print_fields, progress, verbs
 from annulus_pipe.shipped import shipped
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("Look at the controller's firmware, put it on a board, watch what it says.")
+app = verbs()
 
 _Port = Annotated[
     str | None, typer.Option(help="Serial port on which firmware runs: /dev/ttyACM0, socket://host:port.")

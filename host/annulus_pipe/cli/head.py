@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from annulus_pipe.cli import turntable
-from annulus_pipe.cli.show import Json, Port, group, print_fields
+from annulus_pipe.cli.show import Json, Port, print_fields, verbs
 from annulus_pipe.controller import CODES
 
-app = group("Talk to one controller: configure, arm, fire a burst, turn the turntable.")
+app = verbs()
 app.add_typer(turntable.app, name="turntable")
 
 

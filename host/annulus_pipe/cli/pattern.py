@@ -5,19 +5,13 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from annulus_pipe.cli.show import Json, group
+from annulus_pipe.cli.show import Json, verbs
 from annulus_pipe.hooks import merged
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("The projector's pattern.")
-
-
-@app.callback()
-def _pattern() -> None:
-    """Keeps `design` a command of its own."""
+app = verbs()
 
 
 @app.command(
@@ -179,6 +173,8 @@ def _fringe(
     least, most = _diameters(pipe_mm)
     wave = (least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm
     slide, written = merged("lights")["slides"].designed(*wave, out=out)
+    import numpy as np
+
     edges = np.array([slide.inner_mm, slide.outer_mm])
     left = [round(float(one), 3) for one in slide.modulation(edges)]
     figures = {

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, print_fields, progress
+from annulus_pipe.cli.show import Json, print_fields, progress, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("Recordings: what is in one, whether it is whole, its labels said again; to and from pictures and videos.")
+app = verbs()
 
 LINES_MAX = 100  # of what is missing, as a note has them
 
@@ -136,8 +136,7 @@ def export_command(
     recording is torn or damaged, and says what was lost.
     """
     from annulus_pipe.record.codec import Codec
-    from annulus_pipe.record.copy import missing_of
-    from annulus_pipe.record.missing import missing_told
+    from annulus_pipe.record.missing import missing_of, missing_told
     from annulus_pipe.record.recording import open_recording
 
     to_recording = out.suffix.lower() == ".mcap"

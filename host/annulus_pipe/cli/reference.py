@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Bars, Json, group, progress, tell
+from annulus_pipe.cli.show import Bars, Json, progress, tell, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.wall.reference import ReferenceSection
 
-app = group("A piece of pipe of known diameter: whether the head still measures it right, and what has drifted.")
+app = verbs()
 
 References = Annotated[
     list[str] | None,

@@ -6,13 +6,10 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json
+from annulus_pipe.cli.show import Json, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
-app = typer.Typer(
-    help="A second Pico plays camera, encoder and interlock to the controller, and times its outputs.",
-    no_args_is_help=True,
-)
+app = verbs()
 
 
 @app.command("image", epilog="Example: cp $(annulus selftest image) /media/$USER/RPI-RP2")

@@ -30,8 +30,8 @@ class Bars(StrEnum):
     JSON = "json"
 
 
-def group(help: str) -> typer.Typer:
-    """A noun with verbs below it."""
+def verbs(help: str = "") -> typer.Typer:
+    """Of a noun. help : what it is about, where that does not stand beside its name already (`hooks.Noun`)."""
     return typer.Typer(help=help, no_args_is_help=True)
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import secrets
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -31,6 +30,8 @@ def tune(
     """Find where a flash lights all rows alike, on a running head at rest. Lamps flash meanwhile; nobody else changes
     them, for this program commands.
     """
+    import secrets
+
     from annulus_pipe.daemon.command import Operator
     from annulus_pipe.daemon.control import ControlClient
     from annulus_pipe.daemon.tuning import LAMPS

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json, Port, group, print_fields
+from annulus_pipe.cli.show import Json, Port, print_fields, verbs
 from annulus_pipe.controller import TURNTABLE_ACCELERATION_MAX, TURNTABLE_POSITION_MAX_STEPS
 
-app = group("The turntable: configure, move, stop.")
+app = verbs("The turntable: configure, move, stop.")
 
 FAR = TURNTABLE_POSITION_MAX_STEPS
 

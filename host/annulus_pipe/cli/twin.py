@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, print_fields, progress
+from annulus_pipe.cli.show import Json, print_fields, progress, verbs
 
-app = group("The simulated head.")
+app = verbs()
 
 Inverted = Annotated[str, typer.Option(help="Pins whose wiring wants the other level, as sync,projector,led.")]
 Trigger = Annotated[

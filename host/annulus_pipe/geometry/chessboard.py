@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import spatial
 from annulus_pipe.numeric.robust import robust_sigma
 
 # By topic intrinsics (13 of 13 real photographs kept, rays off the truth on drawn ones) and test_camera.
@@ -168,7 +168,7 @@ def _sectors(ring: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _links(light: NDArray[np.float32], at: FloatArray, ways: FloatArray, contrast: FloatArray) -> NDArray[np.int64]:
     """(N, 4) the next corner along each edge, -1 for none; only what both ends agree on."""
     count = min(NEIGHBOURS, len(at) - 1)
-    distance, near = cKDTree(at).query(at, count + 1)
+    distance, near = spatial.cKDTree(at).query(at, count + 1)
     distance, near = distance[:, 1:], near[:, 1:]
     towards = np.arctan2(at[near, 1] - at[:, None, 1], at[near, 0] - at[:, None, 0])
     alike = np.minimum(contrast[near] / contrast[:, None], contrast[:, None] / contrast[near]) > ALIKE

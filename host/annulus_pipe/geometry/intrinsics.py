@@ -6,12 +6,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.camera import Camera, Model
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import optimize, spatial, transform
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -86,7 +84,7 @@ class Intrinsics:
         """(N,) whether (N, 2) pixels lie inside the outline of some view's corners."""
         inside = np.zeros(len(pixels), bool)
         for seen in self.seen:
-            corner = seen[ConvexHull(seen).vertices]
+            corner = seen[spatial.ConvexHull(seen).vertices]
             way, to = np.roll(corner, -1, axis=0) - corner, pixels[:, None] - corner
             inside |= (way[:, 0] * to[..., 1] >= way[:, 1] * to[..., 0]).all(axis=1)
         return inside
@@ -169,14 +167,16 @@ def target_pose(camera: Camera, view: TargetObservation) -> tuple[FloatArray, Fl
     rotations, translations = _poses(camera, [view])
 
     def moved(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return Rotation.from_rotvec(x[:3]).as_matrix() @ rotations[0], translations[0] + x[3:]
+        return transform.Rotation.from_rotvec(x[:3]).as_matrix() @ rotations[0], translations[0] + x[3:]
 
     def off(x: FloatArray) -> FloatArray:
         rotation, shift = moved(x)
         return np.nan_to_num(camera.project(view.target_mm @ rotation[:, :2].T + shift) - view.pixels, nan=1e4).ravel()
 
     size = float(np.linalg.norm(translations[0]))
-    fit = least_squares(off, np.zeros(6), loss="cauchy", f_scale=0.5, x_scale=np.array([0.01] * 3 + [0.01 * size] * 3))
+    fit = optimize.least_squares(
+        off, np.zeros(6), loss="cauchy", f_scale=0.5, x_scale=np.array([0.01] * 3 + [0.01 * size] * 3)
+    )
     return *moved(fit.x), float(np.sqrt(np.mean((off(fit.x).reshape(-1, 2) ** 2).sum(axis=1))))
 
 
@@ -445,7 +445,7 @@ def _moved(
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]) + step
     fx, fy, cx, cy = (float(v) for v in lens[:4])
     moved = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(float(v) for v in lens[4:]))
-    return moved, Rotation.from_rotvec(both[:, :3]).as_matrix() @ rotations, translations + both[:, 3:]
+    return (moved, transform.Rotation.from_rotvec(both[:, :3]).as_matrix() @ rotations, translations + both[:, 3:])
 
 
 def cross_matrix(v: FloatArray) -> FloatArray:

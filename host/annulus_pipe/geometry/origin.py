@@ -13,10 +13,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from annulus_pipe.geometry.chessboard import TargetView, renumbered
 from annulus_pipe.numeric.arrays import FloatArray, Image
+from annulus_pipe.numeric.late import spatial
 
 DICTIONARIES = ("4X4", "5X5", "6X6", "7X7")  # of bits a marker; each contains OpenCV's smaller ones of that size
 MARKERS_PX = 1600  # longer sides are shrunk to this to read markers
@@ -98,7 +98,7 @@ def _placed(view: TargetView, markers: Markers, layout: TargetLayout) -> tuple[i
     middles = np.array(
         [np.mean([place[x, y], place[x + 1, y], place[x, y + 1], place[x + 1, y + 1]], axis=0) for x, y in whole]
     )
-    far, nearest = cKDTree(middles).query(markers.pixels[known])
+    far, nearest = spatial.cKDTree(middles).query(markers.pixels[known])
     good = far < NEAR * view.step_px
     squares = np.array(whole)[nearest[good]]
     # The square beyond corner (x, y) is the target's (x + 1, y + 1): its corners are between squares.

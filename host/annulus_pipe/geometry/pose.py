@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import transform
 
 
 def rotation_x(angle: float) -> FloatArray:
@@ -45,8 +45,8 @@ def rotations(rx: FloatArray, ry: FloatArray, roll: FloatArray) -> FloatArray:
 
 def composed(turns: FloatArray) -> FloatArray:
     """(3,) rotation vector, radians, of turns (N, 3) one after the other, each about the axes as the last left them."""
-    whole = Rotation.identity()
-    for turn in Rotation.from_rotvec(np.reshape(turns, (-1, 3))):
+    whole = transform.Rotation.identity()
+    for turn in transform.Rotation.from_rotvec(np.reshape(turns, (-1, 3))):
         whole = whole * turn
     return np.asarray(whole.as_rotvec())
 

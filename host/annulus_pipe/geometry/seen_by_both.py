@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.intrinsics import Intrinsics, TargetObservation, cross_matrix, left_out, target_rows
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import transform
 from annulus_pipe.vocabulary import AnnulusError
 
 # By test_seen_by_both: moments that are none are left out, others are not.
@@ -107,7 +107,9 @@ def _begin(
         off = np.full((len(ways), 4), np.inf)
         for i, each in enumerate(ways):
             for j, (_, r, t) in enumerate(each):
-                off[i, j] = distance * Rotation.from_matrix(r @ rotation.T).magnitude() + np.linalg.norm(t - shift)
+                off[i, j] = distance * transform.Rotation.from_matrix(r @ rotation.T).magnitude() + np.linalg.norm(
+                    t - shift
+                )
         return off.min(axis=1), off.argmin(axis=1)
 
     tried = [(*apart(r, t), r, t) for each in ways for _, r, t in each]
@@ -170,7 +172,7 @@ def _adjusted(
 
 
 def _moved(state: _State, step: FloatArray) -> _State:
-    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    turn = transform.Rotation.from_rotvec(step[:3]).as_matrix()
     return replace(state, rotation=turn @ state.rotation, shift=state.shift + step[3:])
 
 
@@ -180,7 +182,7 @@ def _poses_moved(
     rotations, shifts = state.rotations.copy(), state.shifts.copy()
     for m, (off, by, by_pose, _) in rows.items():
         pose = np.linalg.lstsq(by_pose, off - by @ step, rcond=None)[0]
-        rotations[m] = Rotation.from_rotvec(pose[:3]).as_matrix() @ rotations[m]
+        rotations[m] = transform.Rotation.from_rotvec(pose[:3]).as_matrix() @ rotations[m]
         shifts[m] = shifts[m] + pose[3:]
     return replace(state, rotations=rotations, shifts=shifts)
 

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import erfcx, ndtr
 
 from annulus_pipe import untrusted
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import special
 
 INDEX = 1.5  # of refraction: PE 1.51 to 1.54, PVC 1.53; 3 % of the shift
 SHIFT_MAX_MM = 2.0  # of a wall in a file: five times that of PE without pigment; beyond it a wall is no surface
@@ -151,6 +151,12 @@ def _normal(x: FloatArray, sigma: float) -> FloatArray:
 def _exponential(x: FloatArray, mean: float, sigma: float) -> FloatArray:
     """Density of an exponential of this mean blurred by a normal, written so that neither end overflows."""
     lag = sigma / mean - x / sigma
-    near = _normal(x, sigma) * math.sqrt(math.pi / 2.0) * sigma / mean * erfcx(np.maximum(lag, 0.0) / math.sqrt(2.0))
-    far = np.exp(np.minimum(0.5 * (sigma / mean) ** 2 - x / mean, 0.0)) * ndtr(-lag) / mean
+    near = (
+        _normal(x, sigma)
+        * math.sqrt(math.pi / 2.0)
+        * sigma
+        / mean
+        * special.erfcx(np.maximum(lag, 0.0) / math.sqrt(2.0))
+    )
+    far = np.exp(np.minimum(0.5 * (sigma / mean) ** 2 - x / mean, 0.0)) * special.ndtr(-lag) / mean
     return np.asarray(np.where(lag >= 0.0, near, far))

@@ -65,6 +65,11 @@ def bgr_of(picture: Picture) -> Image:
     return picture.bgr() if isinstance(picture, Mosaic) else picture
 
 
+def has_bytes(picture: Picture) -> bool:
+    """Whether its values are of 8 bits."""
+    return bool((picture.cells if isinstance(picture, Mosaic) else picture).dtype == np.uint8)
+
+
 def thinned(picture: Picture, every: int) -> Image:
     """The same of every so many pixels of every so many rows, from the middle of the first."""
     if isinstance(picture, Mosaic):

@@ -5,7 +5,7 @@ out and counted. The original stays as it is, and the copy appears when all of i
 """
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import DEFAULT, Codec
 from annulus_pipe.record.frames import LABEL_TOPIC, RecordedFrame
-from annulus_pipe.record.missing import RECOVERED, missing_note
+from annulus_pipe.record.missing import RECOVERED, missing_note, missing_of
 from annulus_pipe.record.recording import Recording
 from annulus_pipe.record.walk import Damage
 from annulus_pipe.record.writer import RecordingWriter
@@ -102,15 +102,6 @@ def recover(recording: Recording, out: Path, progress: Progress | None = None) -
         }
 
     return Recovered(copy(recording, out, last=last, progress=progress), torn, cut, damage)
-
-
-def missing_of(torn: bool, cut_frames: int | None, damage: Sequence[Damage]) -> list[str]:
-    """Of a file: the places where what was written cannot be read, a line each."""
-    lines = [f"{one.text}, at byte {one.offset}" for one in damage]
-    if torn and cut_frames != 0:
-        many = "an unknown number of frames" if cut_frames is None else f"{cut_frames} frame at most"
-        lines.append(f"its end: it was not closed, and {many} with it")
-    return lines
 
 
 def clock_of(recording: Recording) -> Clock:

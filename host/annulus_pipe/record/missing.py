@@ -4,10 +4,20 @@ from collections.abc import Sequence
 from typing import Any
 
 from annulus_pipe.record.recording import Recording
+from annulus_pipe.record.walk import Damage
 from annulus_pipe.untrusted import printable
 
 RECOVERED, RELABELLED = "/recovered", "/relabelled"
 LINES_MAX, LINE_MAX = 100, 300  # of one note; characters
+
+
+def missing_of(torn: bool, cut_frames: int | None, damage: Sequence[Damage]) -> list[str]:
+    """Of a file: the places where what was written cannot be read, a line each."""
+    lines = [f"{one.text}, at byte {one.offset}" for one in damage]
+    if torn and cut_frames != 0:
+        many = "an unknown number of frames" if cut_frames is None else f"{cut_frames} frame at most"
+        lines.append(f"its end: it was not closed, and {many} with it")
+    return lines
 
 
 def missing_note(lines: Sequence[str]) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import Float32Array
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report.marks import WallMark, draw_marks, name_above

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from contourpy import contour_generator
 from matplotlib.patches import Rectangle
-from scipy import ndimage
 
 from annulus_pipe.job import Observation
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.report.paper import AXES_MM, FEATURE, INK, OBSERVED, badge, letter, marked, question
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, Defect, Kind
 from annulus_pipe.wall.grid import Wall

@@ -6,7 +6,7 @@ from typing import Protocol
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.numeric.mosaic import Picture, bgr_of
+from annulus_pipe.numeric.mosaic import Picture
 from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Trouble, examine
@@ -28,7 +28,7 @@ class FrameFacts(Protocol):
     def roll_deg(self) -> float | None: ...
 
 
-# (frame, images by camera id: mosaics or (H, W, 3) uint8 BGR, pose of a frame nearby or None) -> profile. All images
+# (frame, pictures by camera id, pose of a frame nearby or None) -> profile. All images
 # are of one flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its
 # camera's, ValueError for a frame whose place along the pipe is not known.
 Method = Callable[[FrameFacts, Mapping[int, Picture], Pose | None], Profile]
@@ -54,10 +54,7 @@ def _method(profile_of: Callable[..., Profile]) -> Method:
     def profile(frame: FrameFacts, pictures: Mapping[int, Picture], seed: Pose | None) -> Profile:
         if frame.z_mm is None:
             raise ValueError("no place along the pipe is known for this frame")
-        images = {number: bgr_of(picture) for number, picture in pictures.items()}
-        # to numba a read-only array is another type: everything would compile again
-        writeable = {number: image if image.flags.writeable else image.copy() for number, image in images.items()}
-        return profile_of(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
+        return profile_of(pictures, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
 
     return profile
 

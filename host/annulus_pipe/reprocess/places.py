@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from itertools import groupby, pairwise
 
 from annulus_pipe.numeric.rounding import DISTANCE, off, quoted, span
-from annulus_pipe.record.copy import missing_of
 from annulus_pipe.record.frames import Z_MAX_MM
-from annulus_pipe.record.missing import missing_told
+from annulus_pipe.record.missing import missing_of, missing_told
 from annulus_pipe.rings.diagnosis import FrameLighting
 from annulus_pipe.scans.scan import Scan, ScanFrame
 from annulus_pipe.storage.place import Where

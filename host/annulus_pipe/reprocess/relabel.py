@@ -18,9 +18,9 @@ from typing import Any
 from annulus_pipe.labelling.evidence import LABEL
 from annulus_pipe.labelling.replay import PATIENCE_NS, Replay
 from annulus_pipe.record.codec import Codec
-from annulus_pipe.record.copy import Copied, clock_of, copy, missing_of
+from annulus_pipe.record.copy import Copied, clock_of, copy
 from annulus_pipe.record.frames import RecordedFrame, frame_name
-from annulus_pipe.record.missing import RELABELLED, missing_note, missing_told
+from annulus_pipe.record.missing import RELABELLED, missing_note, missing_of, missing_told
 from annulus_pipe.record.recording import Recording, open_recording
 from annulus_pipe.reprocess.evidence import TOPIC, Hole, RecordedEvidence
 from annulus_pipe.scans.marks import read_marks

@@ -11,14 +11,13 @@ When it breaks: stripes too pale or too alike are UNKNOWN and prove nothing, tie
 calibration's leaves no names and no pose, and `diagnosis` reads what it is.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit, middle, ranked
+from annulus_pipe.numeric.native import door
 
 UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
@@ -29,6 +28,8 @@ SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
 PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay
 LEARNT_FROM = 500  # stripes that tell a frame's colours
 BRIGHT = 0.98  # the part of them below a frame's bright level
+SHARE = 0.02  # of them, and eight, that a colour's reference is learnt from
+LINE_MOST = 256  # slits of one line that an alignment looks at; twice what any finder keeps
 MARGIN = 0.1  # a label is given only if every runner-up reading of the line is worse by this
 
 
@@ -48,93 +49,41 @@ def classify(side: FloatArray, colours: str, seen: StripeColours | None = None) 
     does; then the references move to what this frame's stripes really look like (crosstalk), and a stripe is named
     after the nearest, if that is clear. `seen` has both from before; without, this frame's own light tells.
     """
-    if not len(side):
-        return np.zeros(0, np.uint8)
-    used = ["RGB".index(c) for c in "RGB" if c in colours]
-    if seen is None or len(seen.reference) != len(used):
-        seen = _learnt(side, used)
-    out = np.empty(len(side), np.uint8)
-    _name(side, seen.gain, seen.reference, np.array(used, np.uint8), out)
-    return out
+    out = np.empty((1, len(side)), np.uint8)
+    StripeNames(np.array(side.T, np.float64, order="C"), colours, seen, out).name(len(side))
+    return np.asarray(out[0])
 
 
-def _learnt(side: FloatArray, used: list[int]) -> StripeColours:
-    gain, reference = np.zeros(3), np.eye(3)[used]
-    _learn(side, max(1, len(side) // LEARNT_FROM), np.array(used), gain, reference)
-    return StripeColours(gain, reference)
+class StripeNames:
+    """`classify` of stripes that lie in rows blue, green, red, S times: light (3 S, C), to out (S, C); in memory that
+    is used again."""
 
+    def __init__(self, light: FloatArray, colours: str, seen: StripeColours | None, out: NDArray[np.uint8]) -> None:
+        used = np.array(["RGB".index(c) for c in "RGB" if c in colours], np.int64)
+        self._before = seen if seen is not None and len(seen.reference) == len(used) else None
+        self._stripes = len(light) // 3
+        self._start = np.eye(3)[used]
+        self._gain, self._reference = np.zeros(3), self._start.copy()
+        if self._before is not None:
+            self._gain[:], self._reference[:] = self._before.gain, self._before.reference
+        work = np.empty((5, 2 * LEARNT_FROM + 1))
+        self._learn = _learn.held(light, ..., ..., used, BRIGHT, SHARE, work, self._gain, self._reference)
+        self._name = _name.held(light, ..., self._gain, self._reference, used, LIKENESS, out)
 
-@jit
-def _learn(side, every, used, gain, reference):  # type: ignore[no-untyped-def]
-    some = (len(side) + every - 1) // every
-    work = np.empty(some)
-    for i in range(len(used)):
-        for n in range(some):
-            work[n] = side[every * n, 2 - used[i]]
-        gain[used[i]] = 1.0 / max(ranked(work, some, int(BRIGHT * some)), 1e-6)
-    unit = np.empty((some, 3))
-    name = np.empty(some, np.int64)
-    size = 0
-    for n in range(some):
-        r, g, b = (side[every * n, 2] * gain[0], side[every * n, 1] * gain[1], side[every * n, 0] * gain[2])
-        length = math.sqrt(r * r + g * g + b * b)
-        if length > 1e-6:
-            unit[size, 0], unit[size, 1], unit[size, 2] = r / length, g / length, b / length
-            size += 1
-    for _ in range(2):
-        for n in range(size):
-            best = -1.0
-            for i in range(len(used)):
-                likeness = unit[n, 0] * reference[i, 0] + unit[n, 1] * reference[i, 1] + unit[n, 2] * reference[i, 2]
-                if likeness > best:
-                    best, name[n] = likeness, i
-        for i in range(len(used)):
-            x, y, z = 0.0, 0.0, 0.0
-            members = 0
-            for c in range(3):
-                members = 0
-                for n in range(size):
-                    if name[n] == i:
-                        work[members] = unit[n, c]
-                        members += 1
-                if members < max(8, 0.02 * size):
-                    break
-                x, y, z = y, z, middle(work, members)
-            length = math.sqrt(x * x + y * y + z * z)
-            if members >= max(8, 0.02 * size) and length > 0.0:
-                reference[i, 0], reference[i, 1], reference[i, 2] = x / length, y / length, z / length
-
-
-@jit
-def _name(side, gain, reference, used, out):  # type: ignore[no-untyped-def]
-    for n in range(len(side)):
-        r, g, b = side[n, 2] * gain[0], side[n, 1] * gain[1], side[n, 0] * gain[2]
-        length = math.sqrt(r * r + g * g + b * b)
-        first, second, name = -1.0, -1.0, 0
-        for i in range(len(used)):
-            likeness = reference[i, 0] * r + reference[i, 1] * g + reference[i, 2] * b
-            if likeness > first:
-                first, second, name = likeness, first, i
-            elif likeness > second:
-                second = likeness
-        clear = length > 1e-6 and (len(used) == 1 or first - second > LIKENESS * length)
-        out[n] = used[name] if clear else UNKNOWN
+    def name(self, size: int) -> None:
+        """Of the first `size` columns."""
+        if self._before is None and size:
+            self._gain[:], self._reference[:] = 0.0, self._start
+            self._learn(size, max(1, size * self._stripes // LEARNT_FROM))
+        self._name(size)
 
 
 def readings(inside: NDArray[np.uint8], outside: NDArray[np.uint8], colours: str) -> NDArray[np.bool_]:
     """(N, K): slit n has the two colours of ring k, as far as they are known, and at least one is."""
-    pattern = np.array(["RGB".index(c) for c in colours], np.uint8)
+    pattern = letters(colours)
     out = np.empty((len(inside), len(pattern) - 1), np.bool_)
     _read(inside, outside, pattern, out)
     return out
-
-
-@jit
-def _read(inside, outside, pattern, out):  # type: ignore[no-untyped-def]
-    for n in range(len(inside)):
-        for k in range(len(pattern) - 1):
-            left, right = inside[n] == pattern[k], outside[n] == pattern[k + 1]
-            out[n, k] = (left and right) or (left and outside[n] == UNKNOWN) or (right and inside[n] == UNKNOWN)
 
 
 def decode(
@@ -163,84 +112,116 @@ def decode(
     ring as another slit; so a tie, such as two slits in one stripe pair, is no label instead of a guess.
     Alzuhiri 2022, §3.4.2 slides a window of the code's length along the line; this is that, with holes.
     """
-    pattern = np.array(["RGB".index(c) for c in colours], np.uint8)
+    pattern = letters(colours)
+    colour = np.ascontiguousarray(np.stack([inside, outside]), np.uint8)
+    candidates = Candidates(np.ascontiguousarray(direction, np.int64), colour, pattern)
+    candidates.list_by_colour(len(direction))
+    listed = candidates.size
     if deviation is None:
-        deviation = np.zeros((len(direction), len(colours) - 1))
-    ring = np.full(len(direction), NONE, np.int64)
-    if len(direction):
-        _align(direction, inside, outside, deviation, pattern, tolerance, ring)
-    return ring
+        candidates.deviation[:listed] = 0.0
+    else:
+        candidates.deviation[:listed] = deviation[candidates.slit[:listed], candidates.ring[:listed]]
+    return candidates.align(len(direction), tolerance)
 
 
-@jit
-def choose(slit, name, own, ahead, behind, size, margin, ring):  # type: ignore[no-untyped-def]
-    """The best alignment of one line's candidates, in order; a ring is given only where every other reading is worse by
-    `margin`. slit, name, own (worth) : of the first `size`; ahead, behind : room to work in."""
-    for c in range(size):
-        ahead[c] = 0.0
-        for p in range(c):
-            if slit[p] < slit[c] and name[p] < name[c]:
-                ahead[c] = max(ahead[c], ahead[p])
-        ahead[c] += own[c]
-    for c in range(size - 1, -1, -1):
-        behind[c] = 0.0
-        for p in range(c + 1, size):
-            if slit[p] > slit[c] and name[p] > name[c]:
-                behind[c] = max(behind[c], behind[p] + own[p])
-    best = 0.0
-    for c in range(size):
-        best = max(best, ahead[c] + behind[c])
-    for c in range(size):
-        total = ahead[c] + behind[c]
-        if total < best - 1e-9 or total <= 0.0:
-            continue
-        alone = True
-        for p in range(size):
-            if p != c and (slit[p] == slit[c] or name[p] == name[c]) and ahead[p] + behind[p] > total - margin:
-                alone = False
-        if alone:
-            ring[slit[c]] = name[c]
+def letters(colours: str) -> NDArray[np.uint8]:
+    """A pattern's colours as indices into "RGB"."""
+    return np.array(["RGB".index(c) for c in colours], np.uint8)
 
 
-@jit
-def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # type: ignore[no-untyped-def]
-    rings = len(pattern) - 1
-    most = 0
-    start = 0
-    for n in range(1, len(direction) + 1):
-        if n == len(direction) or direction[n] != direction[start]:
-            most = max(most, n - start)
-            start = n
-    slit = np.empty(most * rings, np.int64)  # the candidates (slit, name) of one line, in order
-    name = np.empty(most * rings, np.int64)
-    own = np.empty(most * rings)
-    ahead = np.empty(most * rings)  # best alignment up to and with this candidate
-    behind = np.empty(most * rings)  # best alignment after it
-    start = 0
-    for n in range(1, len(direction) + 1):
-        if n < len(direction) and direction[n] == direction[start]:
-            continue
-        size = 0
-        for i in range(start, n):
-            for k in range(rings):
-                d = deviation[i, k]
-                if not abs(d) <= tolerance:
-                    continue
-                fit = 0.0
-                if inside[i] == pattern[k]:
-                    fit += 1.0
-                elif inside[i] != UNKNOWN:
-                    continue
-                if outside[i] == pattern[k + 1]:
-                    fit += 1.0
-                elif outside[i] != UNKNOWN:
-                    continue
-                if fit < 0.5:
-                    continue
-                slit[size], name[size] = i, k
-                own[size] = fit + SKIP - PLACE * (d / tolerance) ** 2
-                if own[size] <= 0.0:
-                    continue
-                size += 1
-        choose(slit, name, own, ahead, behind, size, MARGIN, ring)
-        start = n
+class Candidates:
+    """Which rings each slit may be, listed slit by slit: only those whose two stripes have its colours. In memory that
+    is used again; of the list the first `size` count."""
+
+    def __init__(self, direction: NDArray[np.int64], colour: NDArray[np.uint8], pattern: NDArray[np.uint8]) -> None:
+        """direction (N,) of slits, rising. colour (2, N) of their stripes inside and outside."""
+        slits, rings = len(direction), len(pattern) - 1
+        most = slits * rings
+        self.size, self.unclear, self.left_out = 0, 0, 0
+        self.slit, self.ring = np.empty(most, np.int32), np.empty(most, np.int32)
+        self.deviation = np.empty(most)  # of the pipe's radius, if the slit were that ring; NaN: it cannot be
+        self.named = np.empty(slits, np.int64)  # by slit: its ring, or NONE
+        self.chosen = np.zeros(slits, np.int32)  # .. and where in the list that is
+        self._counts = np.empty(2, np.int64)
+        listed = self.slit, self.ring, np.empty(most, np.uint8)
+        self._list = _list.held(colour, ..., pattern, *listed, self._counts)
+        room = rings * min(slits, LINE_MOST)
+        work = np.array([SKIP, PLACE, MARGIN]), np.empty((2, room), np.int64), np.empty((3, room))
+        self._align = _align.held(direction, ..., *listed, self.deviation, ..., ..., *work, self.named, self.chosen)
+
+    def list_by_colour(self, slits: int) -> None:
+        """Those of the first `slits`; `unclear`: how many have a stripe that is UNKNOWN."""
+        self._list(slits)
+        self.size, self.unclear = self._counts.tolist()
+
+    def list_all(self, slits: int) -> None:
+        """Every ring for each of the first `slits`, whose colours say nothing."""
+        rings = len(self.slit) // max(len(self.named), 1)
+        self.size = slits * rings
+        self.slit[: self.size] = np.repeat(np.arange(slits), rings)
+        self.ring[: self.size] = np.tile(np.arange(rings), slits)
+
+    def take(self, ring: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rings (N,) that something else than colours gave, where every ring is listed."""
+        rings = len(self.slit) // max(len(self.named), 1)
+        self.named[: len(ring)] = ring
+        self.chosen[: len(ring)] = rings * np.arange(len(ring)) + np.maximum(ring, 0)
+        self.left_out = int(np.count_nonzero(ring < 0))
+        return self.named[: len(ring)]
+
+    def align(self, slits: int, tolerance: float) -> NDArray[np.int64]:
+        """Ring of each of the first `slits`, or NONE, by the deviations; see `decode`. left_out : of them."""
+        self.left_out = slits - self._align(slits, self.size, tolerance)
+        return self.named[:slits]
+
+
+_learn = door(
+    "rings_learn",
+    "f8[r,c] light",
+    "i8 size",
+    "i8 every",
+    "i8[u] used",
+    "f8 bright",
+    "f8 share",
+    "f8[5,w]! work",
+    "f8[3]! gain",
+    "f8[u,3]! reference",
+)
+_name = door(
+    "rings_name",
+    "f8[r,c] light",
+    "i8 size",
+    "f8[3] gain",
+    "f8[u,3] reference",
+    "i8[u] used",
+    "f8 likeness",
+    "u1[s,c]! out",
+)
+_read = door("rings_read", "u1[n] inside", "u1[n] outside", "u1[p] pattern", "b1[n,k]! out")
+_list = door(
+    "rings_list",
+    "u1[2,c] colour",
+    "i8 size",
+    "u1[p] pattern",
+    "i4[n]! slit",
+    "i4[n]! name",
+    "u1[n]! fit",
+    "i8[2]! counts",
+)
+_align = door(
+    "rings_align",
+    "i8[c] direction",
+    "i8 size",
+    "i4[n] slit",
+    "i4[n] name",
+    "u1[n] fit",
+    "f8[n] deviation",
+    "i8 listed",
+    "f8 tolerance",
+    "f8[3] prices",
+    "i8[2,w]! places",
+    "f8[3,w]! work",
+    "i8[c]! ring",
+    "i4[c]! chosen",
+    returns="i8",
+)

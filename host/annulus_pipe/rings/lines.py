@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
-from annulus_pipe.rings.decode import NONE, choose
-from annulus_pipe.rings.polar import ACROSS, PolarGrid
+from annulus_pipe.rings.polar import ACROSS, PolarGrid, sampled
 from annulus_pipe.rings.slits import Slits
 
 # Guarded by test_lines (place, gaps, reflections, noise) as a whole; not tried one by one.
@@ -45,7 +45,7 @@ def find_lines(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[Slits, FloatA
     Also (N,) how strong each is, 1 for the frame's usual line.
     """
     plane = np.ascontiguousarray(image.max(axis=2))
-    lines = cv2.remap(plane, grid.map_xy, grid.map_part, cv2.INTER_LINEAR)
+    lines = sampled(plane, grid)
     top = np.asarray(cv2.GaussianBlur(lines.astype(np.float32), (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1])
     stop = np.minimum(grid.stop, top.shape[1])
     noise = _noise(top, stop)
@@ -184,31 +184,23 @@ def name_lines(
     As `decode`: each polar line is one alignment of ridges with rings in order, either may be missing; a name is given
     only where the best alignment beats every one that reads that ridge, or that ring, otherwise.
     """
-    ring = np.full(len(direction), NONE, np.int64)
-    if len(direction):
-        _align(direction, strength, deviation, tolerance, ring)
+    ring = np.empty(len(direction), np.int64)
+    room = PER_LINE * deviation.shape[1]
+    places, work = np.empty((2, room), np.int64), np.empty((3, room))
+    prices = np.array([SKIP, STRONG, PLACE, MARGIN])
+    of, by = np.ascontiguousarray(strength, np.float64), np.ascontiguousarray(deviation, np.float64)
+    _align(direction, of, by, tolerance, prices, places, work, ring)
     return ring
 
 
-@jit
-def _align(direction, strength, deviation, tolerance, ring):  # type: ignore[no-untyped-def]
-    rings = deviation.shape[1]
-    ridge = np.empty(PER_LINE * rings, np.int64)
-    name = np.empty(PER_LINE * rings, np.int64)
-    own, ahead, behind = np.empty(PER_LINE * rings), np.empty(PER_LINE * rings), np.empty(PER_LINE * rings)
-    start = 0
-    for n in range(1, len(direction) + 1):
-        if n < len(direction) and direction[n] == direction[start]:
-            continue
-        size = 0
-        for i in range(start, n):
-            for k in range(rings):
-                d = deviation[i, k]
-                if not abs(d) <= tolerance:
-                    continue
-                worth = SKIP + STRONG * min(strength[i], 1.0) - PLACE * (d / tolerance) ** 2
-                if worth > 0.0:
-                    ridge[size], name[size], own[size] = i, k, worth
-                    size += 1
-        choose(ridge, name, own, ahead, behind, size, MARGIN, ring)
-        start = n
+_align = door(
+    "rings_align_lines",
+    "i8[n] direction",
+    "f8[n] strength",
+    "f8[n,k] deviation",
+    "f8 tolerance",
+    "f8[4] prices",
+    "i8[2,w]! places",
+    "f8[3,w]! work",
+    "i8[n]! ring",
+)

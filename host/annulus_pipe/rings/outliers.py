@@ -6,14 +6,14 @@ ring is covered its usual width is wrong: then it is held near the frame's.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import around, jit, middle
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
-from annulus_pipe.rings.decode import NONE
 from annulus_pipe.rings.slits import Slits
 
 # Measured by topic uncertainty: true radii inside k = 2, which a slit believed wrongly leaves; and by the wrong and
@@ -46,120 +46,87 @@ def reject_outliers(
     follow a leaning head. Shade: much dimmer than the ring a step to the side. Alone: too few neighbours of its own
     ring at nearly its radius.
     """
-    counts = np.zeros(3, np.int64)
-    wider = np.zeros(len(ring))
-    turn = 2 * math.pi / directions * np.arange(directions)
-    _reject(
+    size = len(ring)
+    bright = slits.inside.max(axis=1) + slits.outside.max(axis=1) if size else np.empty(0)
+    radius = np.take_along_axis(radius_mm, np.maximum(ring, 0)[:, None], axis=1)[:, 0] if size else np.empty(0)
+    named = NamedSlits(
         ring,
-        slits.direction,
-        slits.width,
-        slits.inside,
-        slits.outside,
-        radius_mm,
-        step_mm,
-        np.cos(turn),
-        np.sin(turn),
-        counts,
-        wider,
+        np.asarray(slits.direction),
+        np.array(slits.width, np.float64),
+        np.array(bright, np.float64),
+        np.arange(size, dtype=np.int32),
+        np.array(radius - 1.0, np.float64),
     )
-    found = {"width": int(counts[0]), "shaded": int(counts[1]), "alone": int(counts[2])}
-    return found, wider
+    judge = Outliers(named, 1.0, step_mm, directions)
+    judge.reject(size)
+    return judge.counts(), judge.wider
 
 
-@jit
-def _reject(ring, direction, width, inside, outside, radius, step, cosine, sine, counts, wider):  # type: ignore[no-untyped-def]
-    directions = len(cosine)
-    mine = np.empty(directions, np.int64)
-    slit = np.empty(directions, np.int64)  # of one ring, by direction; -1 where it has none
-    light = np.zeros(directions)
-    work = np.empty(max(len(ring), 1))
-    size = 0
-    for n in range(len(ring)):
-        if ring[n] != NONE:
-            work[size] = width[n]
-            size += 1
-    frame = middle(work, size)
-    for k in range(len(step)):
-        size = 0
-        for n in range(len(ring)):
-            if ring[n] == k:
-                mine[size] = n
-                work[size] = width[n]
-                size += 1
-        if size == 0:
-            continue
-        # Two slits with a dark stripe between them look like one wide one, all the way round.
-        usual = min(max(middle(work, size), frame / UNLIKE), frame * UNLIKE)
-        mean, even, odd, spread = _usual_width(mine, size, direction, width, usual, cosine, sine, work)
-        slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
-        slit[:] = -1
-        for m in range(size):
-            n = mine[m]
-            j = direction[n]
-            expected = min(max(mean + even * cosine[j] + odd * sine[j], NARROW), WIDE)
-            ratio = width[n] / usual / expected
-            wider[n] = width[n] - usual * expected
-            if ratio < 1.0 - (1.0 - NARROW) * slack or ratio > 1.0 + (WIDE - 1.0) * slack:
-                ring[n] = NONE
-                counts[0] += 1
-            else:
-                slit[j] = n
-                light[j] = max(inside[n, 0], inside[n, 1], inside[n, 2]) + max(
-                    outside[n, 0], outside[n, 1], outside[n, 2]
-                )
-        for j in range(directions):
-            if slit[j] >= 0:
-                brightest = 0.0
-                for d in range(-SHADE_REACH, SHADE_REACH + 1):
-                    other = around(j + d, directions)
-                    if slit[other] >= 0:
-                        brightest = max(brightest, light[other])
-                if light[j] < SHADE * brightest:
-                    ring[slit[j]] = NONE
-                    counts[1] += 1
-        for j in range(directions):
-            if slit[j] >= 0 and ring[slit[j]] == NONE:
-                slit[j] = -1
-        for j in range(directions):
-            if slit[j] >= 0:
-                company = 0
-                for d in range(-NEIGHBOURS, NEIGHBOURS + 1):
-                    other = slit[around(j + d, directions)]
-                    if d != 0 and other >= 0 and abs(radius[other, k] - radius[slit[j], k]) <= step[k]:
-                        company += 1
-                if company < COMPANY:
-                    ring[slit[j]] = NONE
-                    counts[2] += 1
+class NamedSlits(NamedTuple):
+    """Slits (N,): ring, direction, width, bright (of their stripes together), and which of the deviations (C,) of the
+    wall's radius from the pipe's is theirs."""
+
+    ring: NDArray[np.int64]
+    direction: NDArray[np.int64]
+    width: FloatArray
+    bright: FloatArray
+    chosen: NDArray[np.int32]
+    deviation: FloatArray
 
 
-@jit
-def _usual_width(mine, size, direction, width, usual, cosine, sine, work):  # type: ignore[no-untyped-def]
-    """A ring's width over its median as mean, cosine and sine of the direction, and the robust spread about that."""
-    mean, even, odd, spread = 1.0, 0.0, 0.0, 0.2
-    some = (size + WIDTH_EVERY - 1) // WIDTH_EVERY  # three numbers do not need every direction
-    for _ in range(3):
-        limit = max(2.5 * spread, 0.05)
-        used = 0
-        sc, ss, scc, sss, scs, sv, svc, svs = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for m in range(0, size, WIDTH_EVERY):
-            j = direction[mine[m]]
-            c, s, v = cosine[j], sine[j], width[mine[m]] / usual
-            if abs(v - mean - even * c - odd * s) < limit:
-                used += 1
-                sc, ss, scc, sss, scs = sc + c, ss + s, scc + c * c, sss + s * s, scs + c * s
-                sv, svc, svs = sv + v, svc + v * c, svs + v * s
-        if used < 0.5 * some:
-            break
-        # Cramer's rule on the normal equations; a trace of ridge, for an arc alone does not tell the three apart
-        a, b, d = used + 1e-6, scc + 1e-6, sss + 1e-6
-        det = a * (b * d - scs * scs) - sc * (sc * d - scs * ss) + ss * (sc * scs - b * ss)
-        mean = (sv * (b * d - scs * scs) - sc * (svc * d - scs * svs) + ss * (svc * scs - b * svs)) / det
-        even = (a * (svc * d - svs * scs) - sv * (sc * d - scs * ss) + ss * (sc * svs - svc * ss)) / det
-        odd = (a * (b * svs - scs * svc) - sc * (sc * svs - ss * svc) + sv * (sc * scs - b * ss)) / det
-        at = 0
-        for m in range(0, size, WIDTH_EVERY):
-            j = direction[mine[m]]
-            work[at] = abs(width[mine[m]] / usual - mean - even * cosine[j] - odd * sine[j])
-            at += 1
-        spread = SIGMA_OF_MAD * middle(work, at)
-    return mean, even, odd, spread
+class Outliers:
+    """`reject_outliers` in memory that is used again for each frame. `wider` is as there."""
+
+    def __init__(self, slits: NamedSlits, pipe_radius_mm: float, step_mm: FloatArray, directions: int) -> None:
+        most = len(slits.ring)
+        self.wider = np.zeros(most)
+        turn = 2 * math.pi / directions * np.arange(directions)
+        limits = np.array([NARROW, WIDE, WIDTH_NOISE, UNLIKE, SHADE, SIGMA_OF_MAD])
+        work, self._counts = np.empty(max(most + 1, 6 * (directions + 16))), np.zeros(3, np.int64)
+        fixed = pipe_radius_mm, np.array(step_mm, np.float64), np.cos(turn), np.sin(turn), limits
+        asked = WIDTH_EVERY, SHADE_REACH, NEIGHBOURS, COMPANY
+        room = work, np.empty(directions, np.int64), self._counts, self.wider
+        self._reject = _reject.held(*slits, *fixed, *asked, ..., *room)
+        self._usual = np.empty(len(step_mm))
+        self._usual_widths = _usual_widths.held(slits.ring, slits.width, ..., ..., work, self._usual)
+
+    def reject(self, size: int) -> None:
+        """Of the first `size` slits."""
+        self._reject(size)
+
+    def usual_widths(self, size: int, fewest: int) -> FloatArray:
+        """(K,) the median width of each ring's slits, of the first `size`; 0 of fewer than `fewest`."""
+        self._usual_widths(size, fewest)
+        return self._usual
+
+    def counts(self) -> dict[str, int]:
+        """How many were set to NONE, by reason."""
+        return dict(zip(("width", "shaded", "alone"), self._counts.tolist(), strict=True))
+
+
+_reject = door(
+    "rings_reject",
+    "i8[n]! ring",
+    "i8[n] direction",
+    "f8[n] width",
+    "f8[n] bright",
+    "i4[n] chosen",
+    "f8[c] deviation",
+    "f8 pipe",
+    "f8[k] step",
+    "f8[j] cosine",
+    "f8[j] sine",
+    "f8[l] limits",
+    "i8 every",
+    "i8 reach",
+    "i8 neighbours",
+    "i8 company",
+    "i8 size",
+    "f8[w]! work",
+    "i8[j]! slit",
+    "i8[3]! counts",
+    "f8[n]! wider",
+)
+_usual_widths = door(
+    "rings_usual_widths", "i8[n] ring", "f8[n] width", "i8 size", "i8 fewest", "f8[w]! work", "f8[k]! out"
+)

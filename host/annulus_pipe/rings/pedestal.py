@@ -8,11 +8,11 @@ on an orange wall the red of that light is stronger all over than a blue or gree
 It also draws edges aside, unlike on two sides of a slit: on a white pipe by a tenth of a pixel.
 """
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.mosaic import Picture, bgr_of
+from annulus_pipe.numeric.native import door
+from annulus_pipe.rings.polar import laid_out
 
 # Guarded by tests/scenes/rings/test_pedestal.py, and by scenes s12a and s07a of the benchmark `scenes`.
 WINDOW = 3.0  # of the least spacing of rings: whichever stripe it stands on, a slit is in it
@@ -23,65 +23,55 @@ WORTH = (
 )
 
 
-def without_pedestal(image: NDArray[np.uint8], spacing_px: float) -> NDArray[np.uint8]:
-    """The image (H, W, 3) less the light that is no stripe's; itself where that is next to nothing.
+def without_pedestal(image: Picture, spacing_px: float) -> Picture:
+    """The image (H, W) less the light that is no stripe's; itself where that is next to nothing.
 
     spacing_px : least distance of two rings.
     """
     step = max(int(spacing_px / SAMPLES), 1)
     window = int(WINDOW * spacing_px / step) | 1
-    if not _worth_it(image[step // 2 :: 2 * step, step // 2 :: 2 * step], window // 2 | 1):
+    if not _worth_it(image, 2 * step, window // 2 | 1):
         return image
-    least = cv2.erode(image[step // 2 :: step, step // 2 :: step], np.ones((window, window), np.uint8))
-    # no more than the least: a stripe that goes on beyond the last slit must not smooth its own light onto that
-    smooth = cv2.blur(cv2.min(cv2.blur(least, (window, window)), least), (window // 4 | 1,) * 2)
-    everywhere = cv2.resize(smooth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.subtract(image, everywhere), np.uint8)
+    image = np.ascontiguousarray(bgr_of(image))
+    height, width = image.shape[:2]
+    rows, columns = (-(-(size - step // 2) // step) for size in (height, width))
+    out = np.empty((height, width, 3), np.uint8)
+    small, sums = np.empty((4, rows, columns, 3), np.uint8), np.empty(3 * columns, np.uint32)
+    between = np.empty((2, width), np.int32), np.empty(columns, np.uint64), np.empty((2, 3 * width), np.uint16)
+    _without_veil(image, step, window // 2, (window // 4 | 1) // 2, small, sums, *between, out)
+    return out
 
 
-def _worth_it(few: NDArray[np.uint8], window: int) -> bool:
-    """Whether the stripes in a coarse look at the frame stand on light that is none of theirs."""
-    strongest = np.empty(few.shape[:2], np.uint8)
-    bright = _bright(few, strongest)
-    least = cv2.erode(strongest, np.ones((window, window), np.uint8))
-    return bool(_under_stripes(strongest, least, LIT * bright) > WORTH * bright)
+def _worth_it(image: Picture, step: int, window: int) -> bool:
+    """Whether stripes stand on light that is none of theirs, by a coarse look: at every step-th pixel."""
+    rows, columns = (-(-(size - step // 4) // step) for size in image.shape[:2])
+    room = np.empty((3, rows, columns), np.uint8)
+    return bool(_pedestal(*laid_out(image), step, window // 2, LIT, WORTH, *room))
 
 
-@jit
-def _bright(few, strongest):  # type: ignore[no-untyped-def]
-    """The bright level: the 97th percentile, between ranks, of every fourth pixel. Writes max(B, G, R)."""
-    counted = np.zeros(256, np.int64)
-    for y in range(few.shape[0]):
-        for x in range(few.shape[1]):
-            strongest[y, x] = max(max(few[y, x, 0], few[y, x, 1]), few[y, x, 2])
-            if not (y & 1 or x & 1):
-                counted[strongest[y, x]] += 1
-    return _between(counted, 0.97)
-
-
-@jit
-def _under_stripes(strongest, least, limit):  # type: ignore[no-untyped-def]
-    """Median of `least` where `strongest` is beyond a limit; 0 of nothing."""
-    counted = np.zeros(256, np.int64)
-    for y in range(strongest.shape[0]):
-        for x in range(strongest.shape[1]):
-            counted[least[y, x]] += strongest[y, x] > limit
-    return _between(counted, 0.5)
-
-
-@jit
-def _between(counted, part):  # type: ignore[no-untyped-def]
-    """The quantile of what was counted by level, linear between two ranks as numpy's; 0 of nothing."""
-    size = counted.sum()
-    if size == 0:
-        return 0.0
-    rank = part * (size - 1)
-    level, below = 0, counted[0]  # how many lie at or below the level
-    while below <= int(rank):
-        level += 1
-        below += counted[level]
-    after = level
-    while after < 255 and below <= int(rank) + 1 and int(rank) + 1 < size:
-        after += 1
-        below += counted[after]
-    return level + (rank - int(rank)) * (after - level)
+_pedestal = door(
+    "rings_pedestal",
+    "u1[h,w,c] image",
+    "i8 phase",
+    "i8 step",
+    "i8 half",
+    "f8 lit",
+    "f8 worth",
+    "u1[a,b]! strongest",
+    "u1[a,b]! rows",
+    "u1[a,b]! darkest",
+    returns="i8",
+)
+_without_veil = door(
+    "rings_without_veil",
+    "u1[h,w,3] image",
+    "i8 step",
+    "i8 half",
+    "i8 smooth",
+    "u1[4,a,b,3]! small",
+    "u4[m]! sums",
+    "i4[2,w]! columns",
+    "u8[b]! spread",
+    "u2[2,v]! wide",
+    "u1[h,w,3]! out",
+)

@@ -1,7 +1,9 @@
 """The image seen along straight lines from the pattern's centre: where each sample lies and which ray it is."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,13 +14,15 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.mosaic import Mosaic, Picture
+from annulus_pipe.numeric.native import Like, door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.vocabulary import AnnulusError
 
 # What a line keeps (ACROSS, WEAK, RAISED_MOST) is measured by topics uncertainty and colour; what is left out unseen
 # (PROBE, LIT) by the points that colour counts; RAY_STEP_PX by test_slits; the search by test_slits, few_rings, mirror.
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
+LEAST_SAMPLES = 16  # of a line that is looked at: shorter, no slit has light on both sides
 PROBE_LINES = 24  # how coarse the first look at a frame is: every so many lines ..
 PROBE_PX = 6  # .. and samples
 LIT = 0.02  # light is more than this part of the bright level
@@ -49,8 +53,12 @@ class PolarGrid:
     stop: NDArray[np.int64]  # (J,) samples inside the image and inside what the lens model can invert
     rays: NDArray[np.float32]  # (J, L / RAY_STEP_PX + 1, 3) unit vectors, camera frame; single, to stay in the cache
     origins: NDArray[np.float32] | None  # the same shape, mm, where the rays start; None: all in the camera's centre
-    map_xy: NDArray[np.int16]  # (J + 2, L, 2) cv2's fixed-point map: SIMD, half the time of a float map, 1/32 px;
-    map_part: NDArray[np.uint16]  # (J + 2, L) it begins with the last line and ends with the first, for averages
+    address: NDArray[
+        np.uint32
+    ]  # (J + 2, L) y * width + x of the pixel above and left of each sample; outside, height *
+    # width. It begins with the last line and ends with the first, for averages
+    part: NDArray[np.uint16]  # (J + 2, L) 32 fy + fx: how far below and right of it, 1/32 px
+    size: tuple[int, int]  # height and width of the image
     spacing_px: float  # least distance between two neighbouring rings in a clean pipe
 
     def pixels(self, direction: NDArray[np.int64], position: FloatArray) -> FloatArray:
@@ -115,7 +123,9 @@ def lay_grid(
     x, y = (centre[axis] + away * way[:, None] for axis, way in enumerate((cosine, sine)))
     closed = np.arange(-1, directions + 1) % directions
     maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
-    map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
+    at, part = np.asarray(maps[0], np.int64), np.asarray(maps[1], np.uint16)
+    inside_it = ((at >= 0) & (at < np.array([camera.width - 1, camera.height - 1]))).all(axis=2)
+    address = np.where(inside_it, at[..., 1] * camera.width + at[..., 0], camera.height * camera.width)
     return PolarGrid(
         (float(centre[0]), float(centre[1])),
         first,
@@ -125,8 +135,9 @@ def lay_grid(
         stop,
         rays.astype(np.float32),
         None if camera.central else origins.astype(np.float32),
-        map_xy,
-        map_part,
+        address.astype(np.uint32),
+        part,
+        (camera.height, camera.width),
         spacing,
     )
 
@@ -136,105 +147,144 @@ class Unrolled:
     """One frame along the grid's lines: the strongest of its channels, for where slits are; their colours stay in the
     image and are read only where slits were found."""
 
-    image: NDArray[np.uint8]  # (H, W, 3) BGR, as it came
-    top: NDArray[np.uint8]  # (J, B - A) samples A .. B of every line; outside of them nothing is lit
+    cells: NDArray[np.uint8]  # the image as it came, see `laid_out`
+    phase: int
+    flat: NDArray[np.uint8]  # room, in which the first J rows of `length` are `top`
+    length: int  # B - A
+    lines: int  # J
     first: int  # A
     bright: float  # the frame's bright level and ..
     noise: float  # .. the noise of `top`, grey levels
 
+    @property
+    def top(self) -> NDArray[np.uint8]:
+        """(J, B - A) samples A .. B of every line; outside of them nothing is lit."""
+        return self.flat[: self.lines * self.length].reshape(self.lines, self.length)
 
-def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> Unrolled:
-    """Lay a frame (H, W, 3) out: one row a direction, one column a pixel's step along it.
+
+class Unroller:
+    """Lays frames of one grid out, in memory that is used again for each: what it returns holds until the next."""
+
+    def __init__(self, grid: PolarGrid) -> None:
+        lines, length = len(grid.cosine), grid.address.shape[1]
+        self.grid = grid
+        self.top = np.empty(lines * length, np.uint8)
+        self._plane = empty_plane(grid)
+        self._black, self._gain, self._range = np.empty(3, np.int32), np.empty(3, np.int32), np.empty(2, np.int64)
+        self._levels = np.empty(2)
+        rows = np.empty((3, length), np.uint8)
+        self._unroll = _unroll.held(self._plane, grid.size[1], grid.address, grid.part, ..., ..., rows, self.top)
+        self._level = _level.held(self.top, grid.stop, ..., ..., SIGMA_OF_MAD, self._levels)
+        self._looks = {channels: self._look_at(channels) for channels in (1, 3)}  # a mosaic, and in colours
+
+    def _look_at(self, channels: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """For images of so many bytes a pixel: the coarse look, and the strongest channel."""
+        grid, image = self.grid, Like(np.empty((*self.grid.size, channels), np.uint8))
+        lines, length = len(grid.cosine), grid.address.shape[1]
+        limits = np.array([LIT, LIT_MARGIN, WEAK, RAISED_MOST, LEAST_SAMPLES])
+        seen = np.empty(3 * (lines // PROBE_LINES + 1) * (length // PROBE_PX + 2), np.uint8)
+        steps, found = (PROBE_LINES, PROBE_PX, limits, seen), (self._black, self._gain, self._range)
+        look = _look.held(image, ..., grid.address, grid.stop, *steps, *found)
+        return look, _strongest.held(image, ..., *grid.centre, ..., ..., self._black, self._gain, self._plane)
+
+    def __call__(self, image: Picture) -> Unrolled:
+        """See `unroll`. Raises AnnulusError where the image is not of the grid's size."""
+        grid = self.grid
+        if image.shape != (*grid.size, 3):
+            height, width = grid.size
+            raise AnnulusError(
+                f"image: shape {image.shape}, expected ({height}, {width}, 3), as the calibration's camera"
+            )
+        cells, phase = laid_out(image)
+        look, strongest = self._looks[cells.shape[2]]
+        look(cells, phase)
+        start, stop = self._range.tolist()
+        ends = grid.first + grid.step * start, grid.first + grid.step * stop
+        strongest(cells, phase, min(ends) - 3.0, max(ends) + 3.0)
+        self._unroll(start, stop - start)
+        self._level(start, stop - start)
+        return Unrolled(cells, phase, self.top, stop - start, len(grid.cosine), start, *self._levels.tolist())
+
+
+def laid_out(image: Picture) -> tuple[NDArray[np.uint8], int]:
+    """(H, W, 3) BGR or (H, W, 1) cells of a mosaic, in order of memory; and of a mosaic where its red cells are. Raises
+    AnnulusError for one without a cell that has neighbours all round."""
+    if isinstance(image, Mosaic):
+        if min(image.cells.shape) < 3:
+            raise AnnulusError(f"image: a mosaic of shape {image.cells.shape}, expected at least 3 rows and columns")
+        row, column = divmod(image.order.index("r"), 2)
+        return np.ascontiguousarray(image.cells)[:, :, None], 2 * row + column
+    return np.ascontiguousarray(image), 0
+
+
+def unroll(image: Picture, grid: PolarGrid) -> Unrolled:
+    """Lay a frame (H, W) out: one row a direction, one column a pixel's step along it.
 
     The strongest channel is taken in the image, so that one plane is interpolated and not three. That pass also fetches
     the frame in the order of memory: a fresh one is in no cache, and lines that cross its rows would wait for nearly
     every sample. A channel that the wall's paint swallows (blue, on a yellow pipe) is raised for this, black taken off,
     or its stripes would be darkness beside the others.
 
-    Each line is averaged with its two neighbours: less noise where stripes are dim, and nothing is lost along the line,
-    where a slit's place is read. Wider averages would carry light into the shadows of rods.
+    Each line is averaged with its two neighbours, weights 1, 2, 1: less noise where stripes are dim, and nothing is
+    lost along the line, where a slit's place is read. Wider averages would carry light into the shadows of rods.
     """
-    image = np.ascontiguousarray(image)
-    height, width = image.shape[:2]
-    black, gain, start, stop = _lit(image, grid.map_xy, grid.stop)
-    plane = np.empty((height, width), np.uint8)
-    ends = grid.first + grid.step * start, grid.first + grid.step * stop
-    _strongest(image.reshape(-1), width, *grid.centre, min(ends) - 3.0, max(ends) + 3.0, black, gain, plane.reshape(-1))
-    part = (slice(None), slice(start, stop))
-    lines = cv2.remap(plane, grid.map_xy[part], grid.map_part[part], cv2.INTER_LINEAR)
-    top = np.asarray(cv2.GaussianBlur(lines, (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1], np.uint8)
-    return Unrolled(image, top, start, *_level(top, grid.stop - start))
+    return Unroller(grid)(image)
 
 
-@jit
-def _lit(image, map_xy, stop):  # type: ignore[no-untyped-def]
-    """What a coarse look at the frame says: (3,) black levels, (3,) gains in 1/64, and the samples from where to where
-    there is light. A slit has light on both sides, so there is none outside."""
-    lines, length = (len(stop) + PROBE_LINES - 1) // PROBE_LINES, map_xy.shape[1]
-    seen = np.zeros((lines, length // PROBE_PX + 1, 3), np.uint8)
-    counted = np.zeros((3, 256), np.int64)
-    for line in range(lines):
-        for n in range((stop[line * PROBE_LINES] + PROBE_PX - 1) // PROBE_PX):
-            x, y = map_xy[line * PROBE_LINES + 1, n * PROBE_PX]
-            for c in range(3):
-                seen[line, n, c] = image[y, x, c]
-                counted[c, image[y, x, c]] += 1
-    black, gain, light = np.zeros(3, np.int32), np.full(3, 64, np.int32), np.empty(3)
-    for c in range(3):
-        black[c] = _rank(counted[c], 0.02)
-        light[c] = max(_rank(counted[c], 0.97) - black[c], 1)
-    most = light.max()
-    for c in range(3):
-        if most / light[c] > WEAK:
-            gain[c] = np.int32(np.rint(64 * min(most / light[c], RAISED_MOST)))
-        else:
-            black[c] = 0
-    # one sample brighter than the limit is noise, one together with the next is light
-    limit, first, last = int(64 * max(LIT * most, 2.0)), length, 0
-    for line in range(lines):
-        before = False
-        for n in range((stop[line * PROBE_LINES] + PROBE_PX - 1) // PROBE_PX):
-            lit = False
-            for c in range(3):
-                lit |= (np.int32(seen[line, n, c]) - black[c]) * gain[c] > limit
-            if lit and before:
-                first, last = min(first, (n - 1) * PROBE_PX), max(last, n * PROBE_PX)
-            before = lit
-    first = max(min(first - LIT_MARGIN, length - 16), 0)
-    return black, gain, first, max(min(last + LIT_MARGIN, length), first + 16)
+def empty_plane(grid: PolarGrid) -> NDArray[np.uint8]:
+    """Room for one channel of an image, and behind it a dark place for samples outside."""
+    height, width = grid.size
+    return np.zeros(height * width + width + 2, np.uint8)
 
 
-@jit
-def _level(top, stop):  # type: ignore[no-untyped-def]
-    """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
-    levels, steps = np.zeros(256, np.int64), np.zeros((256, 256), np.int32)  # the step from the sample before, by level
-    size = 0
-    for j in range(0, len(stop), 24):
-        for i in range(1, min(stop[j], top.shape[1]), 3):
-            value = np.int64(top[j, i])
-            levels[value] += 1
-            steps[value, abs(value - np.int64(top[j, i - 1]))] += 1
-            size += 1
-    if not size:
-        return 0.0, 0.0
-    # the darker half of the samples holds few edges; a step of n is anything up to n
-    half, step = _rank(levels, 0.5) + 1, np.zeros(256, np.int64)
-    for level in range(half):
-        for n in range(256):
-            step[n] += steps[level, n]
-    at = _rank(step, 0.5)
-    middle = at - 0.5 + (0.5 * step.sum() - step[:at].sum()) / step[at]
-    return float(_rank(levels, 0.95)), SIGMA_OF_MAD / math.sqrt(2) * max(middle, 0.0)
+def sampled(plane: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
+    """(J + 2, L) one channel (H, W) along the grid's lines, which begin with the last and end with the first."""
+    padded = empty_plane(grid)
+    padded[: plane.size] = plane.reshape(-1)
+    out = np.empty(grid.address.shape, np.uint8)
+    _sample(padded, grid.size[1], grid.address, grid.part, out)
+    return out
 
 
-@jit
-def _rank(counted, part):  # type: ignore[no-untyped-def]
-    """The level below or at which that part of what was counted lies."""
-    total, level, wanted = counted[0], 0, part * counted.sum()
-    while total < wanted:
-        level += 1
-        total += counted[level]
-    return level
+_look = door(
+    "rings_look",
+    "u1[h,w,b] image",
+    "i8 phase",
+    "u4[l,n] address",
+    "i8[j] stop",
+    "i8 every",
+    "i8 px",
+    "f8[5] limits",
+    "u1[s]! seen",
+    "i4[3]! black",
+    "i4[3]! gain",
+    "i8[2]! range",
+)
+_strongest = door(
+    "rings_strongest",
+    "u1[h,w,b] image",
+    "i8 phase",
+    "f8 cx",
+    "f8 cy",
+    "f8 inner",
+    "f8 outer",
+    "i4[3] black",
+    "i4[3] gain",
+    "u1[p]! plane",
+)
+_unroll = door(
+    "rings_unroll",
+    "u1[p] plane",
+    "i8 w",
+    "u4[i,n] address",
+    "u2[i,n] part",
+    "i8 a",
+    "i8 m",
+    "u1[3,n]! rows",
+    "u1[t]! top",
+)
+_level = door("rings_level", "u1[t] top", "i8[j] stop", "i8 a", "i8 m", "f8 sigma_of_mad", "f8[2]! out")
+_sample = door("rings_sample", "u1[p] plane", "i8 w", "u4[i,n] address", "u2[i,n] part", "u1[i,n]! out")
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:
@@ -265,32 +315,3 @@ def _length_inside(
             edge = np.where(way > 0, size - 2.0 - at, 1.0 - at) / np.where(np.abs(way) > 1e-12, way, np.nan)
         reach = np.fmin(reach, edge)
     return np.maximum(np.floor(reach - first), 0).astype(np.int64)
-
-
-@jit
-def _strongest(image, width, cx, cy, inner, outer, black, gain, out):  # type: ignore[no-untyped-def]
-    """max(B, G, R) of the pixels between two circles, image and plane as runs of bytes."""
-    height = len(out) // width
-    raised = gain[0] != 64 or gain[1] != 64 or gain[2] != 64
-    for y in range(height):
-        far = outer * outer - (y - cy) * (y - cy)
-        if far <= 0:
-            continue
-        half = math.sqrt(far)
-        hole = math.sqrt(max(inner * inner - (y - cy) * (y - cy), 0.0)) if inner > 0 else 0.0
-        for side in range(2):
-            a = max(int(cx - half), 0) if side == 0 else max(int(cx + hole), 0)
-            b = min(int(cx - hole) + 2, width) if side == 0 else min(int(cx + half) + 2, width)
-            if b <= a:
-                continue
-            source = image[3 * (y * width + a) : 3 * (y * width + b)]
-            row = out[y * width + a : y * width + b]
-            if raised:
-                for x in range(b - a):
-                    top = 0
-                    for c in range(3):
-                        top = max(top, (np.int32(source[3 * x + c]) - black[c]) * gain[c])
-                    row[x] = min(top >> 6, 255)
-            else:
-                for x in range(b - a):
-                    row[x] = max(max(source[3 * x], source[3 * x + 1]), source[3 * x + 2])

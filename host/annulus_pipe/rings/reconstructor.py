@@ -23,20 +23,21 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.mosaic import Picture, bgr_of, has_bytes
+from annulus_pipe.numeric.native import door
 from annulus_pipe.rings.colour import ColourProfile
-from annulus_pipe.rings.decode import NONE, UNKNOWN, classify, decode, readings
-from annulus_pipe.rings.lines import find_lines, line_bias, name_lines
+from annulus_pipe.rings.decode import Candidates, StripeColours, StripeNames, letters
+from annulus_pipe.rings.lines import MOSAIC_PX, find_lines, line_bias, name_lines
 from annulus_pipe.rings.objects import without_objects
 from annulus_pipe.rings.order import PlacedSlits, by_order
-from annulus_pipe.rings.outliers import reject_outliers
+from annulus_pipe.rings.outliers import NamedSlits, Outliers
 from annulus_pipe.rings.pedestal import without_pedestal
-from annulus_pipe.rings.polar import polar_grid, unroll
-from annulus_pipe.rings.slits import Slits, find_slits
-from annulus_pipe.rings.triangulate import deviations, ring_optics, triangulate
-from annulus_pipe.rings.uncertainty import BIAS_PX, calibrated, point_sigma
+from annulus_pipe.rings.polar import PolarGrid, Unroller, polar_grid, unroll
+from annulus_pipe.rings.slits import FrameSlits, Slits, find_slits
+from annulus_pipe.rings.triangulate import CandidatePoints, RingOptics, ring_optics
+from annulus_pipe.rings.uncertainty import BIAS_PX, KeptSlits, PointErrors, calibrated
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.pose import Fit, fit_pose
+from annulus_pipe.wall.pose import Fit, Fitter, weight_of
 from annulus_pipe.wall.profile import Profile
 
 # Measured by topics colour (points read, wrong rings), few_rings and diameter; OVER_EXPOSED by uncertainty.
@@ -48,16 +49,56 @@ OVER_EXPOSED = 235.0  # grey levels of light, a slit's own darkness taken off
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
-# what a frame shows: slits, or lines given like them; (N, K) which ring each could be; from (N, K) deviations of the
-# wall and their tolerance the ring of each; how many were left out, by reason
-_Seen = tuple[Slits, NDArray[np.bool_], Callable[[FloatArray, float], NDArray[np.int64]], dict[str, int]]
+# from a tolerance of the wall the ring of each slit; how many slits are left out, by reason
+_Observed = tuple[Callable[[float], NDArray[np.int64]], dict[str, int]]
+
+
+class _Memory:
+    """One frame on its way from picture to points, in memory that is used again for the next: slits (N of them), the
+    candidates (C) which ring each may be, and what becomes a profile."""
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        grid: PolarGrid,
+        optics: RingOptics,
+        calibrated_mm: FloatArray,
+        worth: FloatArray,
+        stripes: StripeColours | None,
+    ) -> None:
+        rings, directions = optics.bend.shape
+        of_lines = calibration.kind == "line"  # of one colour
+        self.unroll, self.slits = Unroller(grid), FrameSlits(grid)
+        slits = self.slits
+        most = len(slits.position)
+        self.colour = np.empty((2, most), np.uint8)  # of the stripes inside and outside
+        self.names = StripeNames(slits.light, calibration.colours, stripes, self.colour)
+        pattern = np.zeros(rings + 1, np.uint8) if of_lines else letters(calibration.colours)
+        self.candidates = Candidates(slits.direction, self.colour, pattern)
+        self.points = CandidatePoints(slits, self.candidates, grid, optics)
+        self.ring, chosen, points = self.candidates.named, self.candidates.chosen, self.points.points
+        pipe = calibration.pipe_radius_mm
+        of = NamedSlits(self.ring, slits.direction, slits.width, slits.bright, chosen, self.candidates.deviation)
+        self.outliers = Outliers(of, pipe, STEP * pipe + STEP_PX * optics.mm_per_px, directions)
+        self.fitter, self.counts = Fitter(most), np.empty(2, np.int64)
+        to_fit = self.fitter.points, self.fitter.weight, np.empty(rings, np.int64), self.counts
+        self.for_fit = _for_fit.held(self.ring, chosen, points, worth, ..., RING_POINTS, ..., *to_fit)
+        kept, seen, clipped = np.empty(most, np.int64), np.empty((3, most)), np.empty(most, np.bool_)
+        self.wall, self.light = np.empty((most, 3), np.float32), np.empty((most, 3), np.uint8)
+        self.of_ring, self.of_line = np.empty(most, np.uint8), np.empty(most, np.uint16)
+        self.rotation, self.shift = np.empty((3, 3)), np.empty(3)
+        found, placed = (self.ring, slits.direction, chosen, slits.light, points), (self.rotation, self.shift)
+        made = kept, seen, self.wall, self.light, clipped, self.of_ring, self.of_line
+        self.keep = _keep.held(*found, *placed, ..., OVER_EXPOSED, ..., *made)
+        of_kept = KeptSlits(kept, self.ring, slits.direction, seen, slits.blur, self.outliers.wider, clipped)
+        self.errors = PointErrors(of_kept, optics, calibrated_mm, MOSAIC_PX if of_lines else BIAS_PX)
 
 
 class Reconstructor:
     """Holds what one calibration fixes (grid, rays, optics), so that frames cost only their own pixels.
 
     >>> reconstructor = Reconstructor(calibration)
-    >>> profile = reconstructor.profile(image_bgr, frame=17, z_mm=40.8, seed=last.pose)
+    >>> profile = reconstructor.profile(image, frame=17, z_mm=40.8, seed=last.pose)
     """
 
     def __init__(self, calibration: Calibration, directions: int = 720, *, colour: ColourProfile | None = None) -> None:
@@ -72,10 +113,12 @@ class Reconstructor:
         self._expected = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * calibration.pipe_radius_mm)
         self.colour = colour
         self._seen = colour.seen() if colour is not None else None
+        self._worth = weight_of(self._expected)  # of a point to its ring's pose
+        self._spare: list[_Memory] = []  # of frames that are done; threads take one each
 
     def profile(
         self,
-        image_bgr: NDArray[np.uint8],
+        image: Picture,
         *,
         frame: int,
         z_mm: float,
@@ -87,7 +130,8 @@ class Reconstructor:
 
         Parameters
         ----------
-        image_bgr : (H, W, 3) uint8, of the calibration's size. z_mm : the frame's station, added to the points' z.
+        image : (H, W, 3) uint8 BGR, or the mosaic that it is made of; of the calibration's size.
+        z_mm : the frame's station, added to the points' z.
         seed : pose of a frame nearby, saves iterations; a wrong one does no harm.
         roll_deg : how far the head was turned clockwise, looking forward; None where no sensor said so, and then clock
             positions are the head's own.
@@ -98,148 +142,154 @@ class Reconstructor:
         profile has no pose and no points, and `rejected` says why.
         """
         camera = self.calibration.camera
-        if image_bgr.shape != (camera.height, camera.width, 3) or image_bgr.dtype != np.uint8:
+        if image.shape != (camera.height, camera.width, 3) or not has_bytes(image):
             raise AnnulusError(
-                f"frame {frame}: image is {_size(image_bgr)} but the calibration's camera is "
+                f"frame {frame}: image is {_size(image)} but the calibration's camera is "
                 f"{camera.width}x{camera.height}, 8 bit colour. Calibrate with the camera that took this scan."
             )
-        pipe = self.calibration.pipe_radius_mm
+        memory = self._spare.pop() if self._spare else self._memory()
+        try:
+            return self._profile(memory, image, frame, z_mm, seed, roll_deg, clock)
+        finally:
+            self._spare.append(memory)
+
+    def _memory(self) -> _Memory:
+        return _Memory(self.calibration, self._grid, self._optics, self._calibrated, self._worth, self._seen)
+
+    def _profile(
+        self,
+        memory: _Memory,
+        image: Picture,
+        frame: int,
+        z_mm: float,
+        seed: Pose | None,
+        roll_deg: float | None,
+        clock: Callable[[], float],
+    ) -> Profile:
+        pipe, slits, candidates = self.calibration.pipe_radius_mm, memory.slits, memory.candidates
         marks = [("", clock())]
 
         def mark(stage: str) -> None:
             marks.append((stage, clock()))
 
-        slits, could_be, named, rejected = (self._lines if self.calibration.kind == "line" else self._slits)(
-            image_bgr, mark
-        )
-        points = triangulate(slits, self._grid, self._optics, could_be)
+        observe = self._observe_lines if self.calibration.kind == "line" else self._observe_slits
+        named, rejected = observe(memory, image, mark)
+        memory.points.place()
         mark("triangulate")
         # A seed far off would make every reading implausible: then once more without.
         for first in (seed, None) if seed is not None else (None,):
-            deviation = deviations(points, first or Pose(), pipe)
-            ring = named(deviation, FIRST_TOLERANCE)
-            marks.append(("decode", clock()))
-            fitted = self._fit(points, ring, first, ROUGHLY)
-            marks.append(("pose", clock()))
+            memory.points.deviate(first or Pose(), pipe)
+            named(FIRST_TOLERANCE)
+            mark("decode")
+            fitted = self._fit(memory, first, ROUGHLY)
+            mark("pose")
             if fitted is not None:
                 break
         if fitted is None:
-            rejected["no pipe"] = len(ring)
-            empty = np.zeros(0, np.uint8)
-            return Profile(
-                frame,
-                z_mm,
-                None,
-                np.zeros((0, 3), np.float32),
-                np.zeros((0, 3), np.uint8),
-                empty,
-                empty.astype(np.uint16),
-                math.nan,
-                rejected,
-                spans(marks),
-            )
+            rejected["no pipe"] = slits.size
+            return _without_pipe(frame, z_mm, rejected, spans(marks))
         # Read again where the wall now is, and fit what that leaves.
-        deviation = deviations(points, fitted.pose, pipe)
-        ring = named(deviation, WALL_TOLERANCE)
-        marks.append(("decode", clock()))
-        rejected["no ring"] = int(np.count_nonzero(ring == NONE))
-        step = STEP * pipe + STEP_PX * self._optics.mm_per_px
-        outliers, wider = reject_outliers(ring, slits, pipe * (1.0 + deviation), step, self.directions)
-        rejected |= outliers
+        memory.points.deviate(fitted.pose, pipe)
+        ring = named(WALL_TOLERANCE)
+        mark("decode")
+        rejected["no ring"] = candidates.left_out
+        memory.outliers.reject(slits.size)
+        rejected |= memory.outliers.counts()
         if self.calibration.kind == "line":
             rejected["object"] = without_objects(
-                ring, slits.direction, pipe * (1.0 + deviation), self._optics.mm_per_px, self.directions
+                ring,
+                slits.direction[: slits.size],
+                self._of_every_ring(memory),
+                self._optics.mm_per_px,
+                self.directions,
             )
-        marks.append(("outliers", clock()))
-        fitted = self._fit(points, ring, fitted.pose) or fitted
+        mark("outliers")
+        fitted = self._fit(memory, fitted.pose) or fitted
         pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
-        marks.append(("pose", clock()))
-        kept = np.flatnonzero(ring != NONE)
-        seen = points[kept, ring[kept]]
-        wall = pose.to_pipe(seen, z_mm)
-        light = np.empty((len(kept), 3), np.uint8)
-        clipped = np.empty(len(kept), np.bool_)
-        _beside(kept, slits.inside, slits.outside, light, clipped)
-        marks.append(("points", clock()))
-        sigma, of_rings = point_sigma(
-            ring[kept],
-            slits.direction[kept],
-            seen,
-            slits.edge_blur[kept],
-            wider[kept],
-            clipped,
-            self._optics,
-            self._calibrated,
-            fitted,
-            line_bias(slits) if self.calibration.kind == "line" else BIAS_PX,
-        )
-        marks.append(("sigma", clock()))
+        mark("pose")
+        memory.rotation[:], memory.shift[:] = pose.rotation, pose.translation
+        kept = memory.keep(z_mm, slits.size)
+        mark("points")
+        sigma = memory.errors.sigma(fitted, kept)
+        slit_rad = self._slit_rad(memory)
+        mark("sigma")
         return Profile(
             frame,
             z_mm,
             pose,
-            wall.astype(np.float32),
-            light,
-            ring[kept].astype(np.uint8),
-            slits.direction[kept].astype(np.uint16),
+            memory.wall[:kept].copy(),
+            memory.light[:kept].copy(),
+            memory.of_ring[:kept].copy(),
+            memory.of_line[:kept].copy(),
             fitted.robust_sigma_mm,
             rejected,
             spans(marks),
             sigma,
             fitted.lean_sigma_deg,
-            ring_sigma_mm=of_rings,
-            slit_rad=self._slit_rad(slits.width[kept], ring[kept]),
+            ring_sigma_mm=memory.errors.of_rings(),
+            slit_rad=slit_rad,
         )
 
-    def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
-        polar = unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid)
+    def _observe_slits(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
+        """What the frame shows."""
+        slits, candidates = memory.slits, memory.candidates
+        unrolled = memory.unroll(without_pedestal(image, self._grid.spacing_px))
         mark("polar")
-        slits = find_slits(polar, self._grid)
+        slits.find(unrolled)
         mark("slits")
-        colours = self.calibration.colours
-        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._seen)
-        inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+        memory.names.name(slits.size)
+        candidates.list_by_colour(slits.size)
         mark("colours")
 
-        def named(deviation: FloatArray, tolerance: float) -> NDArray[np.int64]:
-            return decode(slits.direction, inside, outside, deviation, colours, tolerance)
+        def named(tolerance: float) -> NDArray[np.int64]:
+            return candidates.align(slits.size, tolerance)
 
-        unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
-        rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
-        return slits, readings(inside, outside, colours), named, rejected
+        return named, {"crowded": slits.crowded, "shallow": slits.shallow, "colour": candidates.unclear}
 
-    def _slit_rad(self, width: FloatArray, ring: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _observe_lines(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
+        slits, candidates = memory.slits, memory.candidates
+        lines, strength = find_lines(bgr_of(image), self._grid)
+        slits.take(lines)
+        candidates.list_all(slits.size)
+        memory.errors.bias_px = line_bias(lines)
+        mark("lines")
+
+        def named(tolerance: float) -> NDArray[np.int64]:
+            deviation = candidates.deviation[: candidates.size].reshape(slits.size, len(self._expected))
+            return candidates.take(name_lines(lines.direction, strength, deviation, tolerance))
+
+        return named, {"crowded": lines.crowded, "faint": lines.shallow}
+
+    def _of_every_ring(self, memory: _Memory) -> FloatArray:
+        """(N, K) mm: the wall's radius if line n were ring k, where every one is a candidate."""
+        deviation = memory.candidates.deviation[: memory.candidates.size]
+        return self.calibration.pipe_radius_mm * (1.0 + deviation.reshape(memory.slits.size, len(self._expected)))
+
+    def _slit_rad(self, memory: _Memory) -> NDArray[np.float32]:
         """(K,) half of the angle of light between the edges of each ring's slit, 0 where too few were seen. None of a
         bright line, which has no edges, and behind a mirror, where rays start apart."""
         if self.calibration.kind == "line" or not self.calibration.camera.central:
             return np.zeros(0, np.float32)
-        usual = [np.median(w) if len(w := width[ring == k]) >= RING_POINTS else 0.0 for k in range(len(self._expected))]
+        usual = memory.outliers.usual_widths(memory.slits.size, RING_POINTS)
         return np.asarray(0.5 * self._optics.rad_per_px * usual, np.float32)
 
-    def _lines(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
-        lines, strength = find_lines(image_bgr, self._grid)
-        mark("lines")
-
-        def named(deviation: FloatArray, tolerance: float) -> NDArray[np.int64]:
-            return name_lines(lines.direction, strength, deviation, tolerance)
-
-        could_be = np.ones((len(lines.position), len(self.calibration.rings)), np.bool_)
-        return lines, could_be, named, {"crowded": lines.crowded, "faint": lines.shallow}
-
-    def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, PlacedSlits | None]:
+    def slits_by_order(self, image: Picture) -> tuple[Slits, PlacedSlits | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""
-        slits = find_slits(unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid), self._grid)
+        slits = find_slits(unroll(without_pedestal(image, self._grid.spacing_px), self._grid), self._grid)
         return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)
 
-    def _fit(
-        self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, most: int | None = None
-    ) -> Fit | None:
-        kept = np.flatnonzero(ring != NONE)
-        if most is not None:
-            kept = kept[:: max(1, len(kept) // most)]
-        mine = ring[kept]
-        one_ring = bool(np.count_nonzero(np.bincount(mine) > RING_POINTS) < 2)
-        return fit_pose(points[kept, mine], self.calibration.pipe_radius_mm, self._expected[mine], seed, one_ring)
+    def _fit(self, memory: _Memory, seed: Pose | None, most: int = 0) -> Fit | None:
+        """Of the slits that are a ring, or about `most` of them."""
+        memory.for_fit(most, memory.slits.size)
+        size, rings = memory.counts.tolist()
+        return memory.fitter.fit(size, self.calibration.pipe_radius_mm, seed, one_ring=rings < 2)
+
+
+def _without_pipe(frame: int, z_mm: float, rejected: dict[str, int], timing_ms: dict[str, float]) -> Profile:
+    empty = np.zeros(0, np.uint8)
+    points, colour = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    direction = np.zeros(0, np.uint16)
+    return Profile(frame, z_mm, None, points, colour, empty, direction, math.nan, rejected, timing_ms)
 
 
 def spans(marks: list[tuple[str, float]]) -> dict[str, float]:
@@ -251,16 +301,42 @@ def spans(marks: list[tuple[str, float]]) -> dict[str, float]:
     return out
 
 
-def _size(image: NDArray[np.uint8]) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}" if image.ndim >= 2 else f"an array of shape {image.shape}"
+def _size(image: Picture) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}" if len(image.shape) >= 2 else f"an array of shape {image.shape}"
 
 
-@jit
-def _beside(kept, inside, outside, out, clipped):  # type: ignore[no-untyped-def]
-    """The wall's colour, RGB, as the mean of what the two stripes (BGR) show of it; whether one is over-exposed."""
-    for n in range(len(kept)):
-        clipped[n] = False
-        for c in range(3):
-            a, b = inside[kept[n], 2 - c], outside[kept[n], 2 - c]
-            out[n, c] = min(0.5 * (a + b), 255.0)
-            clipped[n] = clipped[n] or max(a, b) > OVER_EXPOSED
+_keep = door(
+    "rings_keep",
+    "i8[n] ring",
+    "i8[n] direction",
+    "i4[n] chosen",
+    "f8[6,n] light",
+    "f8[3,c] points",
+    "f8[3,3] rotation",
+    "f8[3] shift",
+    "f8 z",
+    "f8 full",
+    "i8 size",
+    "i8[n]! kept",
+    "f8[3,n]! seen",
+    "f4[n,3]! wall",
+    "u1[n,3]! colour",
+    "b1[n]! clipped",
+    "u1[n]! of_ring",
+    "u2[n]! of_line",
+    returns="i8",
+)
+_for_fit = door(
+    "rings_for_fit",
+    "i8[n] ring",
+    "i4[n] chosen",
+    "f8[3,c] points",
+    "f8[k] worth",
+    "i8 most_points",
+    "i8 ring_points",
+    "i8 size",
+    "f8[3,p]! out",
+    "f8[p]! weight",
+    "i8[k]! in_ring",
+    "i8[2]! counts",
+)

@@ -15,12 +15,15 @@ from annulus_pipe.geometry.calibration import Calibration, RingCorrection
 from annulus_pipe.geometry.cone import FLAT, intersect_cylinder
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
+from annulus_pipe.rings.decode import Candidates
 from annulus_pipe.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
-from annulus_pipe.rings.slits import Slits
+from annulus_pipe.rings.slits import FrameSlits, Slits
 
 # sine of the least angle between ray and cone that still makes a point; test_a_plane_is_no_grazing_cone
 GRAZING = 0.008
+WIDEST = 1.3  # of the frame's usual width: a slit in a shadow's edge must not shift itself; topic uncertainty
+LIMITS = np.array([RAY_STEP_PX, FLAT, GRAZING])
 PROBE_PX = 4.0  # step of the finite differences along a line; test_slits, the bend
 
 
@@ -112,19 +115,19 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
     cone do not meet."""
     out = np.empty((len(slits.position), len(optics.cones), 3))
     if len(slits.position):
-        usual = float(np.partition(slits.width, len(slits.width) // 2)[len(slits.width) // 2])
-        width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
-        _all_rings(
+        half = len(slits.width) // 2
+        width = np.minimum(slits.width, WIDEST * np.partition(slits.width, half)[half])
+        _all_points(
             slits.direction,
             slits.position,
             width,
+            wanted,
             grid.rays,
             grid.origins,
-            RAY_STEP_PX,
             optics.cones,
             optics.bend,
             optics.corrections,
-            wanted,
+            LIMITS,
             out,
         )
     return out
@@ -132,112 +135,82 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
 
 def meet_rings(origins: FloatArray, rays: FloatArray, cones: FloatArray) -> FloatArray:
     """(N, 3) mm starts of (N, 3) unit rays, (K, 7) cones -> (N, K, 3) points; the same roots as geometry.cone."""
-    out = np.empty((len(rays), len(cones), 3))
-    for n in range(len(rays)):
-        for k in range(len(cones)):
-            far = _meet(*origins[n], *rays[n], cones[k], math.cos(cones[k, 6]) ** 2)
-            out[n, k] = origins[n] + far * rays[n]
-    return out
+    far = np.empty((len(rays), len(cones)))
+    starts, ways, of = (np.ascontiguousarray(array, np.float64) for array in (origins, rays, cones))
+    _meet(starts, ways, of, FLAT, GRAZING, far)
+    return np.asarray(starts[:, None] + far[:, :, None] * ways[:, None])
 
 
 def deviations(points: FloatArray, pose: Pose, radius_mm: float) -> FloatArray:
     """(N, K, 3) camera frame -> (N, K) distance from the pipe's axis over its radius, less one; NaN stays NaN."""
     out = np.empty(points.shape[:2])
-    _deviations(points, pose.rotation, pose.translation, radius_mm, out)
+    rows = np.array(points.reshape(-1, 3).T, np.float64, order="C")
+    _deviations(rows, rows.shape[1], pose.rotation, pose.translation, radius_mm, out.reshape(-1))
     return out
 
 
-@jit
-def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untyped-def]
-    for n in range(points.shape[0]):
-        for k in range(points.shape[1]):
-            x, y, z = points[n, k, 0] - shift[0], points[n, k, 1] - shift[1], points[n, k, 2]
-            if x != x:
-                out[n, k] = np.nan
-                continue
-            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]  # Eq. 4.6
-            v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
-            out[n, k] = math.sqrt(u * u + v * v) / radius - 1.0
+class CandidatePoints:
+    """Where listed candidates lie, in memory that is used again for each frame: points (3, C) mm, camera frame; NaN
+    where ray and cone do not meet."""
+
+    def __init__(self, table: FrameSlits, candidates: Candidates, grid: PolarGrid, optics: RingOptics) -> None:
+        self.points = np.empty((3, len(candidates.slit)))
+        self._table, self._candidates = table, candidates
+        self._rotation, self._shift = np.empty((3, 3)), np.empty(3)
+        slits, listed = (table.direction, table.position, table.width), (candidates.slit, candidates.ring)
+        fixed = grid.rays, grid.origins, optics.cones, optics.bend, optics.corrections, LIMITS, self.points
+        work = np.empty(len(table.position))
+        self._points = _points.held(*slits, ..., WIDEST, work, *listed, ..., *fixed)
+        self._deviations = _deviations.held(self.points, ..., self._rotation, self._shift, ..., candidates.deviation)
+
+    def place(self) -> None:
+        """Of this frame's slits and candidates."""
+        self._points(self._table.size, self._candidates.size)
+
+    def deviate(self, pose: Pose, radius_mm: float) -> None:
+        """`deviations` of all candidates, of a pipe that lies so."""
+        self._rotation[:], self._shift[:] = pose.rotation, pose.translation
+        self._deviations(self._candidates.size, radius_mm)
 
 
-@jit
-def _all_rings(direction, position, width, rays, origins, step, cones, bend, corrections, wanted, out):  # type: ignore[no-untyped-def]
-    own = np.empty(7)
-    squares = np.cos(cones[:, 6]) ** 2
-    ox, oy, oz = 0.0, 0.0, 0.0
-    for n in range(len(position)):
-        j = direction[n]
-        for k in range(len(cones)):
-            if not wanted[n, k]:
-                out[n, k] = np.nan
-                continue
-            at = (position[n] + bend[k, j] * width[n] * width[n] / 8.0) / step
-            i = min(max(int(at), 0), rays.shape[1] - 2)
-            part = at - i
-            x = rays[j, i, 0] + part * (rays[j, i + 1, 0] - rays[j, i, 0])
-            y = rays[j, i, 1] + part * (rays[j, i + 1, 1] - rays[j, i, 1])
-            z = rays[j, i, 2] + part * (rays[j, i + 1, 2] - rays[j, i, 2])
-            scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-            x, y, z = x * scale, y * scale, z * scale
-            if origins is not None:  # decided when compiled: a camera with one centre does not pay for it
-                ox = origins[j, i, 0] + part * (origins[j, i + 1, 0] - origins[j, i, 0])
-                oy = origins[j, i, 1] + part * (origins[j, i + 1, 1] - origins[j, i, 1])
-                oz = origins[j, i, 2] + part * (origins[j, i + 1, 2] - origins[j, i, 2])
-            far = _meet(ox, oy, oz, x, y, z, cones[k], squares[k])
-            if corrections is not None:  # once more with the cone that was measured at this azimuth
-                _corrected((ox + far * x, oy + far * y, oz + far * z), cones[k], corrections[k], own)
-                far = _meet(ox, oy, oz, x, y, z, own, math.cos(own[6]) ** 2)
-            out[n, k, 0], out[n, k, 1], out[n, k, 2] = ox + far * x, oy + far * y, oz + far * z
-
-
-@jit
-def _corrected(point, cone, correction, out):  # type: ignore[no-untyped-def]
-    """The ring's cone as it is at the azimuth of a point, between the samples of `correction` (n, 2)."""
-    ax, ay, az = cone[3], cone[4], cone[5]
-    across = math.sqrt(1.0 - ax * ax)
-    x, y, z = point[0] - cone[0], point[1] - cone[1], point[2] - cone[2]
-    first = x * across - (y * ay + z * az) * ax / across  # along the part of the camera's x across the axis
-    second = (y * az - z * ay) / across
-    turn = math.atan2(second, first) / (2.0 * math.pi) * len(correction)
-    turn = 0.0 if turn != turn else turn
-    i = math.floor(turn)
-    part = turn - i
-    i = int(i) % len(correction)
-    j = (i + 1) % len(correction)
-    shift = correction[i, 1] + part * (correction[j, 1] - correction[i, 1])
-    out[0], out[1], out[2] = cone[0] + shift * ax, cone[1] + shift * ay, cone[2] + shift * az  # Eq. 4.12
-    out[3], out[4], out[5] = ax, ay, az
-    out[6] = cone[6] + correction[i, 0] + part * (correction[j, 0] - correction[i, 0])
-
-
-@jit
-def _meet(ox, oy, oz, x, y, z, cone, cos2):  # type: ignore[no-untyped-def]
-    """How far along its unit way x, y, z a ray from o meets a cone, NaN if nowhere: Alzuhiri 2022, App. A.2; of two
-    forward roots the farther, §5.2."""
-    vx, vy, vz, ax, ay, az = cone[0] - ox, cone[1] - oy, cone[2] - oz, cone[3], cone[4], cone[5]
-    along = x * ax + y * ay + z * az
-    va = -(vx * ax + vy * ay + vz * az)
-    wv = -(x * vx + y * vy + z * vz)
-    vv = vx * vx + vy * vy + vz * vz
-    if cos2 < FLAT:
-        return -va / along if abs(along) > GRAZING and -va / along > 0.0 else np.nan
-    a = along * along - cos2  # Eq. 5.3
-    b = 2.0 * (along * va - wv * cos2)  # Eq. 5.4
-    c = va * va - vv * cos2  # Eq. 5.5
-    # delta^2, Eq. 5.7: b b - 4 a c with what cancels taken out, for a cone that is nearly flat
-    inside = 4.0 * cos2 * (along * along * vv - 2.0 * along * va * wv + va * va + cos2 * (wv * wv - vv))
-    if inside <= 0.0:
-        return np.nan
-    q = -0.5 * (b + math.copysign(math.sqrt(inside), b))  # both roots of Eq. 5.6 are q / a and c / q: nothing cancels
-    best = 0.0
-    if a != 0.0:
-        s = q / a
-        if s > best and va + s * along > 0.0:
-            best = s
-    if q != 0.0:
-        s = c / q
-        if s > best and va + s * along > 0.0:
-            best = s
-    # delta over the length of the cone's gradient there is the sine of the angle between ray and cone
-    away2 = vv + 2.0 * best * wv + best * best
-    return best if best > 0.0 and inside > GRAZING * GRAZING * 4.0 * cos2 * (1.0 - cos2) * away2 else np.nan
+_OPTICS = (
+    "f4[j,l,3] rays",
+    "f4[j,l,3]? origins",
+    "f8[k,7] cones",
+    "f8[k,j] bend",
+    "f8[k,c,2]? corrections",
+    "f8[3] limits",
+)
+_points = door(
+    "rings_points",
+    "i8[s] direction",
+    "f8[s] position",
+    "f8[s] width",
+    "i8 size",
+    "f8 widest_part",
+    "f8[s]! work",
+    "i4[n] slit",
+    "i4[n] name",
+    "i8 listed",
+    *_OPTICS,
+    "f8[3,n]! points",
+)
+_deviations = door(
+    "rings_deviations",
+    "f8[3,n] points",
+    "i8 listed",
+    "f8[3,3] rotation",
+    "f8[3] shift",
+    "f8 radius",
+    "f8[n]! deviation",
+)
+_all_points = door(
+    "rings_all_points",
+    "i8[n] direction",
+    "f8[n] position",
+    "f8[n] width",
+    "b1[n,k] wanted",
+    *_OPTICS,
+    "f8[n,k,3]! points",
+)
+_meet = door("rings_meet", "f8[n,3] starts", "f8[n,3] ways", "f8[k,7] cones", "f8 flat", "f8 grazing", "f8[n,k]! far")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
-from annulus_pipe.numeric.jit import around, jit, middle
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.rings.polar import PolarGrid, ring_pixels
 from annulus_pipe.rings.triangulate import RingOptics, meet_rings
@@ -64,12 +64,59 @@ def point_sigma(
       from nothing (both edges) to half of that (one), evenly.
     - the pose, by its covariance, and the calibration, by its own.
     """
-    out, drawn = np.empty(len(ring), np.float32), np.empty(len(calibrated_mm))
-    slits = _Slits(ring, direction, points_mm, edge_blur, width_off_px, clipped)
-    pose = _Placed(fit.pose.rotation, fit.pose.translation, fit.covariance)
-    _combine(slits, pose, optics.mm_per_px, calibrated_mm, bias_px, out, drawn)
-    fixed = np.hypot(bias_px * optics.mm_per_px, calibrated_mm.mean(axis=1))
-    return out, np.stack([drawn, fixed], axis=1).astype(np.float32)
+    size = len(ring)
+    slits = KeptSlits(
+        np.arange(size),
+        ring,
+        direction,
+        np.array(points_mm.T, np.float64, order="C"),
+        np.array(edge_blur, np.float64),
+        np.array(width_off_px, np.float64),
+        clipped,
+    )
+    errors = PointErrors(slits, optics, calibrated_mm, bias_px)
+    return errors.sigma(fit, size), errors.of_rings()
+
+
+class KeptSlits(NamedTuple):
+    """Slits that became points: kept (N,), which of all slits they are; ring, direction, edge_blur, width_off_px of all
+    slits; points (3, N) mm, camera frame, and clipped (N,) of the kept."""
+
+    kept: IntArray
+    ring: IntArray
+    direction: IntArray
+    points: FloatArray
+    edge_blur: FloatArray
+    width_off_px: FloatArray
+    clipped: BoolArray
+
+
+class PointErrors:
+    """`point_sigma` in memory that is used again for each frame."""
+
+    def __init__(self, slits: KeptSlits, optics: RingOptics, calibrated_mm: FloatArray, bias_px: float) -> None:
+        (rings, directions), most = calibrated_mm.shape, len(slits.kept)
+        self.bias_px = bias_px
+        self._mm_per_px, self._calibrated_mean = optics.mm_per_px, calibrated_mm.mean(axis=1)
+        self._rotation, self._shift, self._covariance = np.empty((3, 3)), np.empty(3), np.empty((4, 4))
+        self._out, self._drawn = np.empty(most, np.float32), np.zeros(rings)
+        limits = np.array([LEAST, UNKNOWN_PX, CLIPPED_PX, DRAWN_PX, BLUR_LEAST, BLUR_MOST, SIGMA_OF_MAD, LAG])
+        room = np.empty((rings, directions)), np.empty((rings, 5)), np.empty(max(most, directions, rings) + 1)
+        pose, known = (self._rotation, self._shift, self._covariance), (optics.mm_per_px, np.array(calibrated_mm))
+        written = *room, np.empty(most), self._out, self._drawn
+        self._sigma = _sigma.held(*slits, *pose, *known, ..., limits, ..., *written)
+
+    def sigma(self, fit: Fit, size: int) -> NDArray[np.float32]:
+        """(size,) of the first that were kept."""
+        self._rotation[:], self._shift[:] = fit.pose.rotation, fit.pose.translation
+        self._covariance[:] = fit.covariance
+        self._sigma(self.bias_px, size)
+        return self._out[:size].copy()
+
+    def of_rings(self) -> NDArray[np.float32]:
+        """(K, 2), see `point_sigma`."""
+        fixed = np.hypot(self.bias_px * self._mm_per_px, self._calibrated_mean)
+        return np.stack([self._drawn, fixed], axis=1).astype(np.float32)
 
 
 def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) -> FloatArray:
@@ -116,101 +163,27 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
     return np.stack([np.interp(turn, coarse, row, period=2 * np.pi) for row in sigma])
 
 
-class _Slits(NamedTuple):
-    """The points, (N,) each, as `point_sigma` takes them."""
-
-    ring: IntArray
-    direction: IntArray
-    points: FloatArray  # (N, 3) mm, camera frame
-    edge_blur: FloatArray
-    width_off: FloatArray  # px
-    clipped: BoolArray
-
-
-class _Placed(NamedTuple):
-    """The sensor in the pipe, and how well that is known."""
-
-    rotation: FloatArray  # (3, 3)
-    shift: FloatArray  # (3,) mm
-    covariance: FloatArray  # (4, 4) of rx, ry, tx, ty
-
-
-@jit
-def _combine(slits, placed, mm_per_px, calibrated, least, out, drawn):  # type: ignore[no-untyped-def]
-    """Written: `out` (N,) and `drawn` (K,), the sigmas of `point_sigma`, mm. least : px, of every place's bias."""
-    ring, direction, points = slits.ring, slits.direction, slits.points
-    edge_blur, width_off, clipped = slits.edge_blur, slits.width_off, slits.clipped
-    rotation, shift, covariance = placed.rotation, placed.shift, placed.covariance
-    rings, directions = calibrated.shape
-    radius = np.zeros((rings, directions))  # 0: no point
-    pose = np.empty(len(ring))
-    pull = np.empty(4)
-    for n in range(len(ring)):
-        x, y, z = points[n, 0] - shift[0], points[n, 1] - shift[1], points[n, 2]
-        u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]  # Eq. 4.6
-        v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
-        ahead = x * rotation[0, 2] + y * rotation[1, 2] + z * rotation[2, 2]
-        r = np.sqrt(u * u + v * v)
-        radius[ring[n], direction[n]] = r
-        # A lean turns the point about the camera; leans are small, so x and y of the two frames are alike here.
-        pull[0], pull[1], pull[2], pull[3] = ahead * v / r, -ahead * u / r, -u / r, -v / r
-        pose[n] = 0.0
-        for a in range(4):
-            for b in range(4):
-                pose[n] += pull[a] * covariance[a, b] * pull[b]
-
-    scatter, usual, median = np.empty(rings), np.ones(rings), np.zeros(rings)
-    work = np.empty(max(directions, len(ring)))
-    for k in range(rings):
-        size = 0
-        line = radius[k]
-        for j in range(directions):
-            r1, r2 = line[around(j + LAG, directions)], line[around(j + 2 * LAG, directions)]
-            r3 = line[around(j + 3 * LAG, directions)]
-            if line[j] > 0 and r1 > 0 and r2 > 0 and r3 > 0:
-                work[size] = abs(r3 - line[j] - 3.0 * (r2 - r1))
-                size += 1
-        scatter[k] = SIGMA_OF_MAD / np.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX * mm_per_px[k]
-        size = 0
-        for j in range(directions):
-            if line[j] > 0:
-                work[size] = line[j]
-                size += 1
-        if size >= LEAST:
-            median[k] = middle(work, size)
-        size = 0
-        for n in range(len(ring)):
-            if ring[n] == k:
-                work[size] = edge_blur[n]
-                size += 1
-        usual[k] = max(middle(work, size), 1e-9)
-
-    size = 0
-    for k in range(rings):
-        if median[k] > 0:
-            work[size] = median[k]
-            size += 1
-    wall = middle(work, size)
-    apart = np.zeros(rings)
-    if size > 1:
-        size = 0
-        for k in range(rings):
-            if median[k] > 0:
-                apart[k] = abs(median[k] - wall) / mm_per_px[k]
-                work[size] = apart[k]
-                size += 1
-        bias = min(max(SIGMA_OF_MAD * middle(work, size), least), DRAWN_PX)
-    else:
-        bias = least
-    share = np.empty(rings)  # px
-    for k in range(rings):
-        share[k] = apart[k] if bias < apart[k] < DRAWN_PX else bias
-        drawn[k] = np.sqrt(max(share[k] ** 2 - least**2, 0.0)) * mm_per_px[k]
-    for n in range(len(ring)):
-        k = ring[n]
-        soft = min(max(edge_blur[n] / usual[k], BLUR_LEAST), BLUR_MOST)
-        place = (scatter[k] * soft) ** 2
-        common = max(share[k], CLIPPED_PX) if clipped[n] else share[k]
-        # the width scatters by twice what the middle does; only what is more is not noise
-        other = max((0.5 * width_off[n] * mm_per_px[k]) ** 2 - 4.0 * place, 0.0) / 3.0
-        out[n] = np.sqrt(place + (common * mm_per_px[k]) ** 2 + other + pose[n] + calibrated[k, direction[n]] ** 2)
+_sigma = door(
+    "rings_sigma",
+    "i8[n] kept",
+    "i8[s] ring",
+    "i8[s] direction",
+    "f8[3,n] points",
+    "f8[s] blur",
+    "f8[s] wider",
+    "b1[n] clipped",
+    "f8[3,3] rotation",
+    "f8[3] shift",
+    "f8[4,4] covariance",
+    "f8[k] mm_per_px",
+    "f8[k,j] calibrated",
+    "f8 bias",
+    "f8[l] limits",
+    "i8 size",
+    "f8[k,j]! table",
+    "f8[k,5]! rings",
+    "f8[w]! work",
+    "f8[o]! pose",
+    "f4[o]! out",
+    "f8[k]! drawn",
+)

@@ -5,8 +5,6 @@ nothing looks for it by a parent's folder. What only a checkout has is asked for
 """
 
 import json
-import subprocess
-from importlib import resources
 from pathlib import Path
 
 from annulus_pipe.vocabulary import AnnulusError
@@ -27,7 +25,7 @@ _MADE_BY = {
 }
 
 
-_HERE = Path(str(resources.files(__name__)))
+_HERE = Path(__file__).parent
 
 
 def shipped(name: str) -> Path:
@@ -51,6 +49,8 @@ def commit() -> str:
     """Of the source that runs, eight digits; of a checkout, as last committed. 'unknown' where nobody can say."""
     if is_shipped(BUILD):
         return str(json.loads((_HERE / BUILD).read_text(encoding="utf-8"))["commit"])
+    import subprocess  # by `--version` and by reports
+
     try:
         asked = ["git", "-C", str(_HERE), "rev-parse", "--short=8", "HEAD"]
         return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()

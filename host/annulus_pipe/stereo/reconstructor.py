@@ -23,6 +23,7 @@ from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.jit import around, jit, middle
+from annulus_pipe.numeric.mosaic import Picture, has_bytes
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import NONE
@@ -105,7 +106,7 @@ class StereoReconstructor:
 
     def profile(
         self,
-        images: Mapping[int, NDArray[np.uint8]],
+        images: Mapping[int, Picture],
         *,
         frame: int,
         z_mm: float,
@@ -117,7 +118,8 @@ class StereoReconstructor:
 
         Parameters
         ----------
-        images : by camera id, (H, W, 3) uint8 BGR; a camera whose frame was lost is left out, at least one is there.
+        images : by camera id, (H, W, 3) uint8 BGR or mosaics; a camera whose frame was lost is left out, one is
+            there.
         z_mm : the station of the first camera. seed, roll_deg : see `rings.Reconstructor.profile`; the head's.
 
         Raises
@@ -133,7 +135,7 @@ class StereoReconstructor:
                 own = ", ".join(map(str, self.views))
                 raise AnnulusError(f"frame {frame}: is of camera {number}, but the calibration has cameras {own}.")
             camera = self.views[number].camera
-            if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+            if image.shape != (camera.height, camera.width, 3) or not has_bytes(image):
                 raise AnnulusError(
                     f"frame {frame}: camera {number}'s image is {'x'.join(map(str, image.shape[1::-1]))} but the "
                     f"calibration's is {camera.width}x{camera.height}, 8 bit colour. Calibrate with these cameras."

@@ -17,6 +17,7 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose, pose_of
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.jit import jit, middle
+from annulus_pipe.numeric.mosaic import Picture
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import NONE, UNKNOWN, classify, decode, readings
@@ -95,10 +96,9 @@ class View:
         _expect(self.lens, cones, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
         return Expected(by_generator, *by_line)
 
-    def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[ObservedSlits, dict[str, int]]:
+    def see(self, image: Picture, colour: ColourProfile | None) -> tuple[ObservedSlits, dict[str, int]]:
         """The slits of one frame, and how many were left out, by reason."""
-        image_bgr = without_pedestal(image_bgr, self.grid.spacing_px)
-        slits = find_slits(unroll(image_bgr, self.grid), self.grid)
+        slits = find_slits(unroll(without_pedestal(image, self.grid.spacing_px), self.grid), self.grid)
         both = classify(
             np.vstack([slits.inside, slits.outside]), self.colours, None if colour is None else colour.seen()
         )

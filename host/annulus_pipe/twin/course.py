@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.twin.rays import PipeCamera
 from annulus_pipe.twin.stretch import (
     COLUMN,

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.twin.stretch import (
     COLUMN,
     CX,

@@ -8,16 +8,16 @@ least-squares problem whose heads are eliminated frame by frame.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.cone import Cone
-from annulus_pipe.geometry.pose import rotations
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import CAUCHY, SIGMA_OF_MAD
-from annulus_pipe.wall.centreline import Centreline, Piece, point_to_pipe
+from annulus_pipe.wall.centreline import STRAIGHT, Centreline, Piece
 from annulus_pipe.wall.profile import Profile
 
 POINTS_LEAST = 3  # points of a ring's sector, for an observation
@@ -190,75 +190,43 @@ def _of_frame(profile: Profile, sectors: int) -> tuple[FloatArray, FloatArray, F
     return camera, np.maximum(stated, SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
 
 
+_SEEN = "f8[n,3] points", "f8[n,3] slide", "f8[n,3] ways", "i8[n] ring", "i8[n] frame"
+_STATE = "f8[r,3] bias", "f8[f,5] heads", "f8[f] chainage", "f8[p,13] pieces", "f8 straight"
+_ROOM = "f8[f,16]! stands", "f8[p,16]! line", "f8[p]! radii"
+_residuals = door("wall_residuals", *_SEEN, *_STATE, *_ROOM, "f8[n]! residuals", "f8[n]! where", "f8[n,2]! direction")
+_by_heads = door(
+    "wall_by_heads", *_SEEN, *_STATE, *_ROOM, "f8[n] residuals", "f8[5] steps", "f8[f,5]! tried", "f8[n,5]! out"
+)
+_by_pieces = door(
+    "wall_by_pieces",
+    *_SEEN,
+    *_STATE,
+    *_ROOM,
+    "f8[n] residuals",
+    "i8[c] columns",
+    "f8[c] steps",
+    "f8[p,13]! tried",
+    "i8[n]! reached",
+    "f8[n,c]! out",
+)
+
+
+def _at(seen: Sightings, state: AdjustmentState) -> tuple[Any, ...]:
+    """What the loops take of both, and room for them to work in."""
+    heads, pieces = len(seen.chainage_mm), len(state.pieces)
+    return (
+        *(seen.points_mm, seen.slide_mm, seen.ways, seen.ring, seen.frame),
+        *(state.bias_mm, state.heads, seen.chainage_mm, state.pieces, STRAIGHT),
+        *(np.empty((heads, 16)), np.empty((pieces, 16)), np.empty(pieces)),
+    )
+
+
 def locate(seen: Sightings, state: AdjustmentState) -> Where:
     """Every observation in pipe coordinates, and how far it is off the wall."""
-    return _locate(seen, state, _local(seen, state))
-
-
-def _locate(seen: Sightings, state: AdjustmentState, local: FloatArray) -> Where:
-    line = state.centreline()
-    origins, frames = line.frames_at(seen.chainage_mm)
     size = len(seen.frame)
-    residual, chainage, direction = np.empty(size), np.empty(size), np.empty((size, 2))
-    _off_the_wall(
-        local,
-        seen.frame,
-        origins,
-        frames,
-        line.piece_of(seen.chainage_mm),
-        line.places,
-        state.pieces,
-        state.radii_mm(),
-        residual,
-        chainage,
-        direction,
-    )
-    return Where(residual, chainage, direction)
-
-
-@jit
-def _off_the_wall(  # type: ignore[no-untyped-def]
-    local, frame, origins, turns, since, places, pieces, radii, residual, chainage, direction
-):
-    """Writes `Where` of points (N, 3) before heads that stand at origins (F, 3), turns (F, 3, 3), on pieces (F,)."""
-    for n in range(len(local)):
-        f = frame[n]
-        turn, a, b, c = turns[f], local[n, 0], local[n, 1], local[n, 2]
-        px = origins[f, 0] + turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
-        py = origins[f, 1] + turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
-        pz = origins[f, 2] + turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
-        x, y, z = point_to_pipe(px, py, pz, since[f], places[0], places[1], places[2], places[3])
-        own = 0
-        while own + 1 < len(pieces) and z >= pieces[own + 1, START]:
-            own += 1
-        radius = math.hypot(x, y)
-        x, y = x / max(radius, 1e-9), y / max(radius, 1e-9)
-        row = pieces[own]
-        twofold, quarter = x * x - y * y, 2 * x * y
-        model = radii[own] + row[TAPER] * (z - row[START]) + row[8] * twofold + row[9] * quarter
-        model += row[10] * (x * twofold - y * quarter) + row[11] * (x * quarter + y * twofold)
-        residual[n], chainage[n], direction[n, 0], direction[n, 1] = radius - model, z, x, y
-
-
-def _local(seen: Sightings, state: AdjustmentState) -> FloatArray:
-    """(N, 3) observations in the pipe's own frame at each head, each ring's bias taken out."""
-    heads = state.heads
-    turned = rotations(heads[:, 0], heads[:, 1], heads[:, 4])
-    out = np.empty(seen.points_mm.shape)
-    _to_heads(seen.points_mm, seen.slide_mm, seen.ways, seen.ring, seen.frame, state.bias_mm, heads, turned, out)
-    return out
-
-
-@jit
-def _to_heads(points, slide, ways, ring, frame, bias, heads, turned, out):  # type: ignore[no-untyped-def]
-    for n in range(len(points)):
-        own, turn = bias[ring[n]], turned[frame[n]]
-        off = own[0] * ways[n, 0] + own[1] * ways[n, 1] + own[2] * ways[n, 2]
-        x = points[n, 0] - off * slide[n, 0] - heads[frame[n], 2]
-        y = points[n, 1] - off * slide[n, 1] - heads[frame[n], 3]
-        z = points[n, 2] - off * slide[n, 2]
-        for i in range(3):
-            out[n, i] = turn[0, i] * x + turn[1, i] * y + turn[2, i] * z
+    where = Where(np.empty(size), np.empty(size), np.empty((size, 2)))
+    _residuals(*_at(seen, state), where.residual_mm, where.chainage_mm, where.direction)
+    return where
 
 
 def adjust(
@@ -375,7 +343,7 @@ def _step(
 ) -> _Step:
     """One step of Gauss-Newton. asked : (N, m) residuals, mm, to which the answers are wanted."""
     heads_do = by_head(seen, state, where)
-    by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
+    by_line = np.concatenate([by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
     f, n = len(seen.first), by_line.shape[1]
     weighted = by_line * weight[:, None]
     normal = by_line.T @ weighted
@@ -436,22 +404,16 @@ def _priors(state: AdjustmentState) -> FloatArray:
 def by_head(seen: Sightings, state: AdjustmentState, where: Where) -> FloatArray:
     """(N, HEAD) what each number of its head does to each residual."""
     out = np.empty((len(seen.frame), HEAD))
-    for i, step in enumerate(HEAD_STEPS):
-        heads = state.heads.copy()
-        heads[:, i] += step
-        out[:, i] = (locate(seen, replace(state, heads=heads)).residual_mm - where.residual_mm) / step
-    return np.clip(out, -1e4, 1e4)
+    _by_heads(*_at(seen, state), where.residual_mm, np.array(HEAD_STEPS), np.empty_like(state.heads), out)
+    return out
 
 
-def _by_pieces(seen: Sightings, state: AdjustmentState, where: Where, columns: NDArray[np.intp]) -> FloatArray:
+def by_pieces(seen: Sightings, state: AdjustmentState, where: Where, columns: NDArray[np.intp]) -> FloatArray:
     """(N, n) what each free number does."""
     out = np.empty((len(seen.frame), len(columns)))
-    local = _local(seen, state)
-    for j, column in enumerate(columns):
-        step = PIECE_STEPS[column % PIECE]
-        pieces = state.pieces.copy()
-        pieces.flat[column] += step
-        out[:, j] = (_locate(seen, replace(state, pieces=pieces), local).residual_mm - where.residual_mm) / step
+    steps = np.array(PIECE_STEPS)[columns % PIECE]
+    room = np.empty_like(state.pieces), np.empty(len(seen.frame), np.int64)
+    _by_pieces(*_at(seen, state), where.residual_mm, columns, steps, *room, out)
     return out
 
 

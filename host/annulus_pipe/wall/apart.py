@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.grid import BRIDGE_OF_RADIUS, Wall
 from annulus_pipe.wall.indications import Limits
 from annulus_pipe.wall.joints import Joint, taken

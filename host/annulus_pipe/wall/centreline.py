@@ -5,7 +5,6 @@ before its start and along it is the same. A piece begins where the centre line 
 (its angle), begins or ends to curve, or the radius steps or begins to change. Frames are carried along without twist.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 
 STRAIGHT = 1e-9  # 1/mm; less curvature than this is none
+
+_points_to_pipe = door("points_to_pipe", "f8[n,3] points", "i8[n] since", "f8[p,16] pieces", "f8[n,3]! out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +41,11 @@ class Piece:
 class Centreline:
     """Pieces in order of their starts; the first reaches back, the last forward, as far as anybody asks.
 
-    Raises ValueError when there is no piece or starts do not rise.
+    starts (P,) mm; origins (P, 3), frames (P, 3, 3): where each piece begins in space. Raises ValueError when there is
+    no piece or starts do not rise.
     """
 
-    __slots__ = ("pieces", "places")
+    __slots__ = ("frames", "origins", "pieces", "starts")
 
     def __init__(self, pieces: Sequence[Piece]) -> None:
         if not pieces or any(b.start_mm <= a.start_mm for a, b in pairwise(pieces)):
@@ -59,13 +61,8 @@ class Centreline:
             frame = frame @ rotation(np.array([piece.turn]))[0]
             origins.append(origin)
             frames.append(frame)
-        # of each piece its start (P,), curvature (P, 2), and where it begins in space: origin (P, 3), frame (P, 3, 3)
-        self.places = (
-            np.array([piece.start_mm for piece in pieces]),
-            np.array([piece.curvature for piece in pieces]),
-            np.array(origins),
-            np.array(frames),
-        )
+        self.starts = np.array([piece.start_mm for piece in pieces])
+        self.origins, self.frames = np.array(origins), np.array(frames)
 
     @property
     def is_straight(self) -> bool:
@@ -79,19 +76,18 @@ class Centreline:
 
     def piece_of(self, chainage_mm: FloatArray) -> NDArray[np.intp]:
         """(N,) index of the piece at each chainage."""
-        return np.searchsorted(self.places[0][1:], chainage_mm, side="right")
+        return np.searchsorted(self.starts[1:], chainage_mm, side="right")
 
     def frames_at(self, chainage_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, 3) points of the centre line, mm, and (N, 3, 3) its frames there (columns x, y, ahead), in space."""
         own = self.piece_of(chainage_mm)
         origins, frames = np.empty((len(own), 3)), np.empty((len(own), 3, 3))
-        _, _, begins, turns = self.places
         for i, piece in enumerate(self.pieces):
             here = own == i
             if here.any():
                 moved, turned = _along(piece, chainage_mm[here] - piece.start_mm)
-                origins[here] = begins[i] + moved @ turns[i].T
-                frames[here] = turns[i] @ turned
+                origins[here] = self.origins[i] + moved @ self.frames[i].T
+                frames[here] = self.frames[i] @ turned
         return origins, frames
 
     def radius_at(self, chainage_mm: FloatArray) -> FloatArray:
@@ -127,9 +123,14 @@ class Centreline:
         where it was; the first if not given."""
         if self.is_straight:
             return points_mm
-        own = np.zeros(len(points_mm), np.intp) if since is None else since
+        own = np.zeros(len(points_mm), np.int64) if since is None else np.ascontiguousarray(since, np.int64)
+        bend = np.array([piece.curvature for piece in self.pieces])
+        k = np.hypot(bend[:, 0], bend[:, 1])
+        k[k <= STRAIGHT] = 0.0
+        way = np.where(k[:, None] > 0.0, bend / np.maximum(k, STRAIGHT)[:, None], 0.0)
+        pieces = np.column_stack([self.starts, self.origins, self.frames.reshape(-1, 9), way, k])
         out = np.empty(points_mm.shape)
-        _to_pipe(np.asarray(points_mm, dtype=np.float64), own, *self.places, out)
+        _points_to_pipe(np.ascontiguousarray(points_mm, np.float64), own, pieces, out)
         return out
 
 
@@ -154,35 +155,3 @@ def _along(piece: Piece, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]
     way[:, :2] = (2.0 * np.sin(0.5 * k * length_mm) ** 2 / k**2)[:, None] * bend
     way[:, 2] = np.sin(k * length_mm) / k
     return way, rotation(length_mm[:, None] * bend)
-
-
-@jit
-def _to_pipe(points, own, starts, bends, origins, frames, out):  # type: ignore[no-untyped-def]
-    for n in range(len(points)):
-        px, py, pz = points[n]
-        out[n, 0], out[n, 1], out[n, 2] = point_to_pipe(px, py, pz, own[n], starts, bends, origins, frames)
-
-
-@jit
-def point_to_pipe(px, py, pz, piece, starts, bends, origins, frames):  # type: ignore[no-untyped-def]
-    """x, y, chainage of a point in space, sought from a piece on; the rest is `Centreline.places`."""
-    while True:
-        dx, dy, dz = px - origins[piece, 0], py - origins[piece, 1], pz - origins[piece, 2]
-        f = frames[piece]
-        x = dx * f[0, 0] + dy * f[1, 0] + dz * f[2, 0]
-        y = dx * f[0, 1] + dy * f[1, 1] + dz * f[2, 1]
-        z = dx * f[0, 2] + dy * f[1, 2] + dz * f[2, 2]
-        k = math.hypot(bends[piece, 0], bends[piece, 1])
-        if k > STRAIGHT:
-            bx, by = bends[piece, 0] / k, bends[piece, 1] / k
-            towards = bx * x + by * y
-            arm = 1.0 / k - towards
-            change = 1.0 / k - math.hypot(arm, z) - towards
-            x += change * bx
-            y += change * by
-            z = math.atan2(z, arm) / k
-        z += starts[piece]
-        if piece + 1 < len(starts) and z > starts[piece + 1]:
-            piece += 1
-            continue
-        return x, y, z

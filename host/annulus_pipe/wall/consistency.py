@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.wall.profile import Profile
 
 # CELL_OF_RADIUS and AGREE_OF_RADIUS are guarded both ways by test_consistency.py; what all of it costs a scan shows in
@@ -22,6 +22,22 @@ OTHERS_NEEDED = 3  # .. there are so many, the point is contradicted: a step's e
 SURE = 0.1  # of that radius difference: a point known better than this votes no louder
 SECTORS = 12  # round the pipe: a ring's part in one of them ..
 MOST = 0.5  # .. is wrong as a whole where more than this part of its points is
+
+_votes = door(
+    "wall_votes",
+    "i8[n] cell",
+    "f8[n] frame",
+    "f8[n] radius",
+    "f8[n] weight",
+    "f8 slack",
+    "f8 needed",
+    "f8 part",
+    "i8 rows",
+    "i8[c]! first",
+    "i8[n]! order",
+    "f8[3,n]! sorted",
+    "b1[n]! good",
+)
 
 
 def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
@@ -38,20 +54,19 @@ def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
     radius = np.hypot(x, y)
     usual = float(np.median(radius))
     low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
-    size = max(CELL_OF_RADIUS * usual, float(high - low) / ROWS_MAX)
-    rows = int((high - low) / size) + 1
-    row = np.clip((z - low) / size, 0, rows - 1).astype(np.int64)
+    length = max(CELL_OF_RADIUS * usual, float(high - low) / ROWS_MAX)
+    rows = int((high - low) / length) + 1
+    row = np.clip((z - low) / length, 0, rows - 1).astype(np.int64)
     column = (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
     frame = np.repeat(np.arange(len(profiles)), [len(profile.points_mm) for profile in profiles])
     cell = row * COLUMNS + column
-    order = np.argsort(cell, kind="stable")
-    start = np.searchsorted(cell[order], np.arange(rows * COLUMNS + 1))
     sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
     weight = np.nan_to_num(1.0 / np.maximum(sigma, SURE * AGREE_OF_RADIUS * usual), nan=1.0)
-    good = np.empty(len(radius), np.bool_)
-    good[order] = _vote(
-        start, frame[order], radius[order], weight[order], row[order], column[order], rows, AGREE_OF_RADIUS * usual
-    )
+    size = len(radius)
+    good, first = np.empty(size, np.bool_), np.empty(rows * COLUMNS + 1, np.int64)
+    room = (first, np.empty(size, np.int64), np.empty((3, size)))
+    against = (AGREE_OF_RADIUS * usual, OTHERS_NEEDED, AGREE_LEAST)
+    _votes(cell, frame.astype(np.float64), radius, weight, *against, rows, *room, good)
     ring = np.concatenate([profile.ring for profile in profiles]).astype(np.int64)
     arc = ((frame * (int(ring.max()) + 1) + ring) * SECTORS) + column * SECTORS // COLUMNS
     good &= (np.bincount(arc, weights=~good) <= MOST * np.bincount(arc))[arc]
@@ -61,23 +76,3 @@ def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
         at += len(kept)
         out.append(profile if kept.all() else profile.without(~kept, "contradicted"))
     return tuple(out)
-
-
-@jit
-def _vote(start, frame, radius, weight, row, column, rows, slack):  # type: ignore[no-untyped-def]
-    """(N,) bool: not contradicted. Points sorted by cell, start[c] the first of cell c."""
-    good = np.ones(len(radius), np.bool_)
-    for p in range(len(radius)):
-        others = 0
-        agree, all_of_them = 0.0, 0.0
-        for r in range(max(row[p] - 1, 0), min(row[p] + 2, rows)):
-            for step in range(-1, 2):
-                cell = r * COLUMNS + (column[p] + step) % COLUMNS
-                for q in range(start[cell], start[cell + 1]):
-                    if frame[q] != frame[p]:
-                        others += 1
-                        all_of_them += weight[q]
-                        if abs(radius[q] - radius[p]) <= slack:
-                            agree += weight[q]
-        good[p] = others < OTHERS_NEEDED or agree >= AGREE_LEAST * all_of_them
-    return good

@@ -13,9 +13,9 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, optimize
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.consistency import AGREE_OF_RADIUS, CELL_OF_RADIUS, COLUMNS
 from annulus_pipe.wall.grid import Wall, cell_medians

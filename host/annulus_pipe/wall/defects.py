@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.wall.chords import turn_from
 from annulus_pipe.wall.extent import as_large, with_shadow, without_scraps

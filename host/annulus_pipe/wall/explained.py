@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import logsumexp
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.drift import SMALL, Drift, drifted, seen_with
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import special
 from annulus_pipe.wall.offsets import TERMS, Offsets, RingObservations
 
 # How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
@@ -161,7 +161,7 @@ def answer_at(offsets: Offsets, effects: Effects, before: DriftPrior, z_mm: floa
             log.append(math.log(chance) - 0.5 * (np.linalg.slogdet(total)[1] + left @ np.linalg.solve(total, left)))
             means.append(mean + gain @ left)
             covariances.append(spread - gain @ design @ spread)
-        weight = np.exp(np.array(log) - logsumexp(log))
+        weight = np.exp(np.array(log) - special.logsumexp(log))
         at = weight @ np.array(means)
     apart = np.array(means) - at
     covariance = np.einsum("n,nij->ij", weight, np.array(covariances)) + (apart.T * weight) @ apart

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.indications import Indication, Kind, Scale, label_around
 
 IntArray = NDArray[np.intp]

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.centreline import Centreline

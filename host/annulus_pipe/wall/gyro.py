@@ -19,11 +19,10 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.pose import composed, rotations
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import linalg, transform
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.adjustment import (
     APART_LEAST_MM,
@@ -87,7 +86,7 @@ def weigh(
         off = left / (LIMITED * noise * np.sqrt(frames))
         band = tie.copy()
         band[-1] += (noise**2 * frames * np.maximum(off**2, 1.0)).ravel()
-        counted = solveh_banded(band, np.column_stack([design, difference.ravel()]))
+        counted = linalg.solveh_banded(band, np.column_stack([design, difference.ravel()]))
         normal, right = design.T @ counted[:, :-1], design.T @ counted[:, -1]
         step, covariance = _solved(normal, right, LOOSE**2 * rings)
         left = difference - (design @ step).reshape(-1, 3)
@@ -131,7 +130,9 @@ def _links(frame: NDArray[np.intp], turns: Turns) -> _Links | None:
     if len(found) < LINKS_LEAST:
         return None
     a, b, count, turned = zip(*found, strict=True)
-    return _Links(np.array(a), np.array(b), np.array(count, np.float64), Rotation.from_rotvec(turned).as_matrix())
+    return _Links(
+        np.array(a), np.array(b), np.array(count, np.float64), transform.Rotation.from_rotvec(turned).as_matrix()
+    )
 
 
 def _difference(seen: Sightings, state: AdjustmentState, links: _Links) -> FloatArray:
@@ -140,7 +141,7 @@ def _difference(seen: Sightings, state: AdjustmentState, links: _Links) -> Float
     to_camera = rotations(heads[:, 0], heads[:, 1], heads[:, 4])
     in_space = state.centreline().frames_at(seen.chainage_mm)[1] @ to_camera.transpose(0, 2, 1)
     turned = in_space[links.a].transpose(0, 2, 1) @ in_space[links.b]
-    return np.asarray(Rotation.from_matrix(turned.transpose(0, 2, 1) @ links.turned).as_rotvec())
+    return np.asarray(transform.Rotation.from_matrix(turned.transpose(0, 2, 1) @ links.turned).as_rotvec())
 
 
 def _by_line(seen: Sightings, found: Adjusted, links: _Links, difference: FloatArray) -> FloatArray:

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall, smooth
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import rotation_z
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
 from annulus_pipe.wall.chords import DOWN_DEG, Chord, Slabs, find_chords, turn_from
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure

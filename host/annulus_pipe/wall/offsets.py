@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import linalg, sparse
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.wall.profile import Profile
 

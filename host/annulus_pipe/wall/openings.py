@@ -17,10 +17,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, optimize
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import ALIKE, Wall

@@ -14,10 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.centreline import Centreline

@@ -11,10 +11,10 @@ from functools import cache
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, Image
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.survey import Survey
 from annulus_pipe.wall.texture import pixels_of, pose_at

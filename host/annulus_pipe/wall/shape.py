@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus_pipe.numeric.jit import jit, middle
-from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, nan_median, robust_sigma
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.native import door
+from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, nan_median, robust_sigma
 
 # Held as a whole by test_shape.py and the benchmark topic diameter; ROUND_OF_RADIUS is the pose's SHAPE_PRIOR.
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
@@ -25,6 +25,31 @@ RADIUS_VARIES = 0.005  # of the radius: how far a station's mean radius is from 
 LEAST_SIGMA_MM = 0.05  # of what is left of a station: medians of cells are no better
 ALIKE = 30.0  # columns that count as one, before it is known how alike they are
 ALIKE_DEG = 60.0  # what is left is alike over so much at most: what a shape of two waves leaves has three or more
+
+_KNOWN = "f8 alike", "f8 round", "f8 tukey", "f8 of_mad"
+_fit_shapes = door(
+    "fit_shapes",
+    "f8[c,a] lines",
+    "f8[a,5] basis",
+    "f8[5] usual",
+    "f8 near_mm",
+    "f8 least",
+    *_KNOWN,
+    "f8[8,a]! room",
+    "f8[c,5]! fits",
+)
+_shape_covariances = door(
+    "shape_covariances",
+    "f8[c,a] lines",
+    "f8[a,5] basis",
+    "f8[c,5] fits",
+    "f8 least",
+    "f8 together",
+    *_KNOWN[1:],
+    "f8[8,a]! room",
+    "f8[c,5,5]! out",
+)
+_running_medians = door("running_medians", "f8[n,k] values", "i8[m] first", "i8[m] last", "f8[n]! room", "f8[m,k]! out")
 
 
 def harmonics(clock_deg: FloatArray) -> FloatArray:
@@ -56,48 +81,61 @@ def fit_shape(grid: FloatArray, z_mm: FloatArray, clock_deg: FloatArray) -> tupl
     """
     centres = np.arange(z_mm[0], z_mm[-1] + SPACING_MM, SPACING_MM)
     basis = harmonics(clock_deg)
-    lines = np.full((len(centres), len(clock_deg)), np.nan)
-    for i, centre in enumerate(centres):
-        lines[i] = nan_median(
-            grid[np.searchsorted(z_mm, centre - WINDOW_MM) : np.searchsorted(z_mm, centre + WINDOW_MM)]
-        )
-    typical = _robust(basis, nan_median(lines), [])
-    fits = np.array([_robust(basis, line, [typical]) for line in lines])
+    ends = (np.searchsorted(z_mm, centres - WINDOW_MM), np.searchsorted(z_mm, centres + WINDOW_MM))
+    lines = _medians(grid, *ends)
+    typical = _fitted(basis, nan_median(lines)[None], np.full(5, np.nan))[0]
+    fits = _fitted(basis, lines, typical)
     good = np.asarray(np.isfinite(fits[:, 0]))
     if not good.any():
         fits[:] = typical if np.isfinite(typical).all() else [float(np.nanmedian(grid)), 0.0, 0.0, 0.0, 0.0]
     covariance = _covariances(basis, lines, fits, good)
-    far = 2.0 * float(np.median(fits[good, 0] if good.any() else fits[:, 0]))  # one diameter each side
-    usable = good if good.any() else ~good
-    smooth_fits = np.empty_like(fits)
-    for i, centre in enumerate(centres):
-        wide = usable & (np.abs(centres - centre) <= far)
-        smooth_fits[i, 0] = np.median(fits[wide if wide.any() else usable, 0])
-    _told_the_radius(fits, covariance, smooth_fits[:, 0], good)
-    for i, centre in enumerate(centres):
-        close = usable & (np.abs(centres - centre) <= 1.01 * SPACING_MM)
-        wide = usable & (np.abs(centres - centre) <= far)
-        near = close if close.any() else wide if wide.any() else usable
-        smooth_fits[i, 1:] = np.median(fits[near, 1:], axis=0)
-    shape = np.stack([np.interp(z_mm, centres, column) for column in smooth_fits.T], axis=1)
+    usable = np.flatnonzero(good) if good.any() else np.arange(len(centres))
+    at = centres[usable]
+    far = 2.0 * float(np.median(fits[usable, 0]))  # one diameter each side
+    wide = _first_reached(at, centres, (far, np.inf))
+    radius = _medians(fits[usable, :1], *wide)
+    _told_the_radius(fits, covariance, radius[:, 0], good)
+    near = _medians(fits[usable, 1:], *_first_reached(at, centres, (1.01 * SPACING_MM, far, np.inf)))
+    shape = np.stack([np.interp(z_mm, centres, column) for column in np.column_stack([radius, near]).T], axis=1)
     nearest = np.clip(np.round((z_mm - centres[0]) / SPACING_MM).astype(int), 0, len(centres) - 1)
     return shape, covariance[nearest]
+
+
+def _first_reached(at: FloatArray, centres: FloatArray, reach_mm: Sequence[float]) -> tuple[IntArray, IntArray]:
+    """(C,) the first and behind the last of some places `at`, rising, within the least reach of each centre that has
+    any."""
+    first = last = np.zeros(len(centres), np.int64)
+    for far in reach_mm:
+        none = first == last
+        first = np.where(none, np.searchsorted(at, centres - far), first)
+        last = np.where(none, np.searchsorted(at, centres + far, side="right"), last)
+    return first, last
+
+
+def _medians(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """(M, K) medians down the columns of (N, K) from row `first` (M,) up to `last`, NaN passed over."""
+    out = np.empty((len(first), values.shape[1]))
+    _running_medians(np.ascontiguousarray(values), first, last, np.empty(len(values)), out)
+    return out
+
+
+def _fitted(basis: FloatArray, lines: FloatArray, usual: FloatArray) -> FloatArray:
+    """(C, 5) coefficients of each station by Tukey's biweight; NaN where too little was seen, less than 40 % of the way
+    round. usual (5,): the pipe's shape, NaN where that is not known yet: begun from, and kept where it is seen."""
+    out = np.empty((len(lines), 5))
+    room = np.empty((8, lines.shape[1]))
+    known = (USUAL_MM, LEAST_SIGMA_MM, ALIKE, ROUND_OF_RADIUS, TUKEY, SIGMA_OF_MAD)
+    _fit_shapes(lines, basis, usual, *known, room, out)
+    return out
 
 
 def _covariances(basis: FloatArray, lines: FloatArray, fits: FloatArray, good: BoolArray) -> FloatArray:
     """(C, 5, 5) of each station's fit; infinite where there is none."""
     left = np.where(good[:, None], lines - fits @ basis.T, np.nan)
-    out = np.full((len(fits), 5, 5), np.inf)
-    alike = _alike(left)
-    for i in np.flatnonzero(good):
-        seen = np.isfinite(left[i])
-        sigma = max(robust_sigma(left[i, seen]), LEAST_SIGMA_MM)
-        used = biweight(left[i, seen] / (TUKEY * sigma))
-        a = basis[seen] * np.sqrt(used)[:, None]
-        normal = a.T @ a + _kept_round(basis, seen, sigma, fits[i, 0], alike)
-        independent = float(used.sum()) / alike
-        took = independent / max(independent - 5.0, 1.0)  # five of them went into the fit: what is left looks small
-        out[i] = sigma**2 * alike * took * np.linalg.inv(normal + 1e-9 * np.eye(5))
+    out, room = np.full((len(fits), 5, 5), np.inf), np.empty((8, lines.shape[1]))
+    fitted = np.where(good[:, None], fits, np.nan)
+    known = (LEAST_SIGMA_MM, _alike(left), ROUND_OF_RADIUS, TUKEY, SIGMA_OF_MAD)
+    _shape_covariances(lines, basis, fitted, *known, room, out)
     return out
 
 
@@ -121,85 +159,9 @@ def _alike(left: FloatArray) -> float:
     return total
 
 
-def _kept_round(basis: FloatArray, seen: BoolArray, sigma: float, radius: float, alike: float) -> FloatArray:
-    """(5, 5) what is known of a shape before it was seen, as much of it as was not: a normal matrix in units of
-    1 / (sigma^2 alike), one unit for each of centre and ovality where nothing was seen."""
-    wave = basis[~seen]
-    wave[:, 0] = 0.0
-    weight = 2.0 * alike / len(basis) * (sigma / (ROUND_OF_RADIUS * max(radius, 1.0))) ** 2
-    return np.asarray(weight * wave.T @ wave)
-
-
 def _told_the_radius(fits: FloatArray, covariance: FloatArray, radius: FloatArray, good: BoolArray) -> None:
     """Carries each station's smoothed radius into its other four numbers, as a measurement; changes both arrays."""
     for i in np.flatnonzero(good):
         gain = covariance[i, :, 0] / (covariance[i, 0, 0] + (RADIUS_VARIES * radius[i]) ** 2)
         fits[i] += gain * (radius[i] - fits[i, 0])
         covariance[i] -= np.outer(gain, covariance[i, 0])
-
-
-def _robust(basis: FloatArray, line: FloatArray, starts: Sequence[FloatArray]) -> FloatArray:
-    """(5,) coefficients of one station by Tukey's biweight, the best of several starts; NaN when too little was seen.
-
-    From each start the scale shrinks in steps (graduated non-convexity), so that a smooth oval is followed and a third
-    of the circle standing 2 mm out is not. Fewer than 40 % of the angles cannot carry five unknowns.
-    """
-    seen = np.isfinite(line)
-    if seen.mean() < 0.4:
-        return np.full(5, np.nan)
-    a, r = basis[seen], line[seen]
-    centre = float(np.median(r))
-    kept = _kept_round(basis, seen, 1.0, centre, ALIKE)
-    shifted = [s + np.array([np.median(r - a @ s), 0, 0, 0, 0]) for s in starts if np.isfinite(s).all()]
-    found: list[FloatArray] = [_graduated(a, r, start, kept) for start in shifted]
-    if found:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
-        usual = found[-1]
-        if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
-            return usual
-    rest = max(robust_sigma(r - centre), LEAST_SIGMA_MM)
-    plain = np.linalg.solve(a.T @ a + rest**2 * kept + 1e-9 * np.eye(5), a.T @ r)
-    found.insert(0, _graduated(a, r, plain, kept))
-    common = max(min(robust_sigma(r - a @ fit) for fit in found), LEAST_SIGMA_MM)
-    cost = [float(np.minimum(((r - a @ fit) / (TUKEY * common)) ** 2, 1.0).sum()) for fit in found]
-    return found[int(np.argmin(cost))]
-
-
-@jit
-def _graduated(a, r, start, kept):  # type: ignore[no-untyped-def]
-    """(5,) the fit of a (N, 5) to r (N,) that a start of (5,) comes to while the scale shrinks. kept (5, 5): what is
-    known before, as a normal matrix over the square of the scale."""
-    size, fit, step = len(r), start.copy(), np.empty(5)
-    left, work, normal = np.empty(size), np.empty(size), np.empty((5, 5))
-    scale = max(_left(a, r, fit, left, work), LEAST_SIGMA_MM)
-    for _ in range(12):
-        normal[:] = scale * scale * kept
-        step[:] = 0.0
-        counted = 0
-        for n in range(size):
-            u = left[n] / (TUKEY * scale)
-            if abs(u) >= 1.0:
-                continue
-            counted += 1
-            w = (1.0 - u * u) ** 2
-            for i in range(5):
-                step[i] += w * a[n, i] * r[n]
-                for j in range(i + 1):
-                    normal[i, j] += w * a[n, i] * a[n, j]
-        if counted < 0.3 * size:
-            break
-        for i in range(5):
-            normal[i, i] += 1e-9
-            for j in range(i):
-                normal[j, i] = normal[i, j]
-        fit = np.linalg.solve(normal, step)
-        scale = max(min(_left(a, r, fit, left, work), 0.8 * scale), LEAST_SIGMA_MM)
-    return fit
-
-
-@jit
-def _left(a, r, fit, left, work):  # type: ignore[no-untyped-def]
-    """Writes what a fit leaves of r, (N,), and returns its robust sigma."""
-    for n in range(len(r)):
-        left[n] = r[n] - (a[n, 0] * fit[0] + a[n, 1] * fit[1] + a[n, 2] * fit[2] + a[n, 3] * fit[3] + a[n, 4] * fit[4])
-        work[n] = abs(left[n])
-    return SIGMA_OF_MAD * middle(work, len(r))

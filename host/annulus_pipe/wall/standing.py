@@ -11,9 +11,9 @@ a dome's top is small. So a patch that may reach the limit, and is too large to 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.wall.grid import Wall, smooth
 from annulus_pipe.wall.indications import Indication, Kind, Scale, agreeing_observations, label_around

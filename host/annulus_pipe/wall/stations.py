@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, quoted, span
 from annulus_pipe.vocabulary import Finding

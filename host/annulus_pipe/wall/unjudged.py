@@ -15,9 +15,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.numeric.rounding import DISTANCE, clock_face, span
 from annulus_pipe.wall.apart import Apart

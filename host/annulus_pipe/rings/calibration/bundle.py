@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import transform
 from annulus_pipe.numeric.robust import CAUCHY, biweight, cauchy, prior_sigma, robust_sigma
 from annulus_pipe.rings.calibration.kernels import (
     REACH_PX,
@@ -137,7 +137,7 @@ class Bundle:
         if len(cameras):
             self.head = self.seen.in_head(_placements(cameras))
         seen = self.head
-        width = seen.width if middles else seen.width[:0]
+        width = seen.width if middles else None
         errors(
             Lines(seen.frame, seen.ring, seen.rays, seen.origins, width),
             Guess(cones, poses, turns, self.radius, self.corrections),
@@ -397,13 +397,15 @@ class Bundle:
 
 def packed(start: Solution) -> FloatArray:
     cones = [[c.half_angle, c.axis[0], c.axis[1], *c.vertex_mm] for c in start.rings]
-    cameras = [[*Rotation.from_matrix(c.rotation).as_rotvec(), *c.centre_mm] for c in start.cameras]
+    cameras = [[*transform.Rotation.from_matrix(c.rotation).as_rotvec(), *c.centre_mm] for c in start.cameras]
     poses = [[p.rx, p.ry, p.tx, p.ty] for p in start.poses]
     return np.concatenate([np.ravel(cones), np.ravel(poses), np.ravel(cameras), start.colour_shift_px.ravel()])
 
 
 def _placements(cameras: FloatArray) -> tuple[Placement, ...]:
-    return tuple(Placement(np.asarray(Rotation.from_rotvec(row[:3]).as_matrix()), row[3:].copy()) for row in cameras)
+    return tuple(
+        Placement(np.asarray(transform.Rotation.from_rotvec(row[:3]).as_matrix()), row[3:].copy()) for row in cameras
+    )
 
 
 def turned_by(vector: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.rings.decode import NONE, classify, decode, readings
 from annulus_pipe.rings.lines import find_lines, name_lines
@@ -22,7 +22,8 @@ from annulus_pipe.rings.slits import Slits, find_slits
 DIRECTIONS = 720
 GUESS_PX = 24.0  # ring spacing taken for granted in the first look; only the smoothing depends on it
 INNERMOST_PX = 8.0  # from the centre, where lines begin
-AROUND = 8  # directions on each side that a ring's course is the median of
+AROUND = 8  # directions on each side that a ring's course is the median of ..
+COURSE_LEAST = 3  # .. where so many of them show it
 WANDER = 0.5  # of the way to the next ring: a slit farther from its ring's course is another's
 STRAY = 5.0  # sigma off the course: farther is no slit of the ring ..
 STRAY_PX = 2.0  # .. but px at least
@@ -33,6 +34,8 @@ LEAST = 0.15  # of the directions must show a ring for its course to be drawn
 FULL = 250  # grey level that is full scale, give or take JPEG
 BESIDE_PX = 3.0  # beyond a slit's edges, where it is looked for
 WHOLE = 0.3  # of a ring's slits in a frame: with so many between stripes that are not over-exposed, the others go
+
+_course_medians = door("course_medians", "f8[k,j] curve", "i8 around_each", "i8 least_there", "f8[k,j]! out")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +192,7 @@ def _course(
     named = np.flatnonzero(ring != NONE)
     curve[ring[named], direction[named]] = values[named]
     out = np.full(shape, np.nan)
-    _running_median(curve, AROUND, out)
+    _course_medians(curve, AROUND, COURSE_LEAST, out)
     lines = np.arange(shape[1])
     for k in range(shape[0]):
         seen = np.flatnonzero(np.isfinite(out[k]))
@@ -206,26 +209,6 @@ def _gap(course: FloatArray, spacing: float) -> FloatArray:
     padded = np.pad(steps, ((1, 1), (0, 0)), constant_values=np.nan)
     gap = np.fmin(padded[:-1], padded[1:])
     return np.where(np.isfinite(gap), np.maximum(gap, 3.0), spacing)
-
-
-@jit
-def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
-    """Of what is there among 2 * around + 1 neighbours on a closed line; NaN where fewer than 3 are."""
-    window = np.empty(2 * around + 1)
-    for k in range(curve.shape[0]):
-        for j in range(curve.shape[1]):
-            n = 0
-            for d in range(-around, around + 1):
-                value = curve[k, (j + d) % curve.shape[1]]
-                if value == value:
-                    i = n
-                    while i > 0 and window[i - 1] > value:
-                        window[i] = window[i - 1]
-                        i -= 1
-                    window[i] = value
-                    n += 1
-            if n >= 3:
-                out[k, j] = 0.5 * (window[(n - 1) // 2] + window[n // 2])
 
 
 def _contours(

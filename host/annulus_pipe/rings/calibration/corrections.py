@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csr_array, diags_array
-from scipy.sparse.linalg import spsolve
 
 from annulus_pipe.geometry.calibration import RingCorrection
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import sparse
 from annulus_pipe.numeric.robust import prior_sigma
 from annulus_pipe.rings.calibration.autocalibration import calibrate
 from annulus_pipe.rings.calibration.bundle import Solution
@@ -69,7 +68,7 @@ def _offsets(seen: Observations, solution: Solution, directions: int, axial_mm: 
         size = directions * (2 if axial_mm > 0 else 1)
         weight = solution.weight[mine] / (solution.sigma_px[k] ** 2 * solution.correlation_length[k])
         place = np.tile(np.arange(len(mine)), len(rows))
-        jacobian = csr_array(
+        jacobian = sparse.csr_array(
             (np.concatenate([a for _, a in rows]), (place, np.concatenate([at for at, _ in rows]))),
             shape=(len(mine), size),
         )
@@ -77,7 +76,7 @@ def _offsets(seen: Observations, solution: Solution, directions: int, axial_mm: 
         matrix, right = (weighted @ jacobian).tocsc(), weighted @ solution.error_px[mine]
         usual = prior_sigma(matrix[:directions, :directions].sum(axis=0), right[:directions])
         belief = np.repeat([usual, axial_mm or 1.0], directions)[:size]
-        found = spsolve(matrix + diags_array(1.0 / belief**2, format="csc"), right)
+        found = sparse.linalg.spsolve(matrix + sparse.diags_array(1.0 / belief**2, format="csc"), right)
         out[k].flat[:size] = found
         explained[mine] = jacobian @ found
     return out, explained

@@ -11,9 +11,12 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone, intersect_cylinder
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 
 RAY_STEP_PX = 4.0  # rays of an observation: at its place and so far to both sides of it; between them a parabola
+
+# turns and shifts the vectors of one camera in place: BLAS wakes all its threads for so many, and they spin
+_place = door("place_vectors", "i8[n] camera", "i8 number", "f8[3,3] turn", "f8[3] shift", "f8[n,3,3]! vectors")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,19 +123,6 @@ def _tints(ring: NDArray[np.int64], way: FloatArray, colours: str) -> FloatArray
         for colour in colours[k : k + 2]:
             of[k, "RGB".index(colour)] += 0.5
     return np.asarray((of[ring][:, :, None] * waves[:, None, :]).reshape(len(ring), 12))
-
-
-@jit
-def _place(camera, number, turn, shift, vectors):  # type: ignore[no-untyped-def]
-    """Turns and shifts (N, 3, 3) vectors of one camera in place. Compiled: BLAS wakes all its threads for so many, and
-    they spin."""
-    for n in range(len(camera)):
-        if camera[n] != number:
-            continue
-        for i in range(3):
-            x, y, z = vectors[n, i, 0], vectors[n, i, 1], vectors[n, i, 2]
-            for a in range(3):
-                vectors[n, i, a] = turn[a, 0] * x + turn[a, 1] * y + turn[a, 2] * z + shift[a]
 
 
 def azimuths(seen: Observations, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:

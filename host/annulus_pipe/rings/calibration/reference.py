@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from annulus_pipe.geometry.calibration import Calibration, RingCorrection
 from annulus_pipe.geometry.cone import intersect_cylinder
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.profile import Profile
 
 FORMAT = "annulus-reference/1"

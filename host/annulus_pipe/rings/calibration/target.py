@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import optimize
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -95,14 +95,14 @@ def fit_cones(points: TargetPoints, rings: int, seed: int = 0) -> TargetCones:
         x = _first(0.5 * (inner + outer), rng)
         scale = 1.0
         for _ in range(3):
-            fit = least_squares(
+            fit = optimize.least_squares(
                 _distances, x, args=(inner, outer), loss="cauchy", f_scale=REACH * scale, x_scale=_SCALE, max_nfev=60
             )
             x = fit.x
             off = _distances(x, inner, outer)
             scale = max(robust_sigma(off), 1e-4)
         good = np.abs(off) < OUTLIER * scale
-        fit = least_squares(_distances, x, args=(inner[good], outer[good]), x_scale=_SCALE, max_nfev=60)
+        fit = optimize.least_squares(_distances, x, args=(inner[good], outer[good]), x_scale=_SCALE, max_nfev=60)
         cones.append(_cone(fit.x))
         distance[mine] = _distances(fit.x, inner, outer)
         used[mine] = good

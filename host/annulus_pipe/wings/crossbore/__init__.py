@@ -1,12 +1,12 @@
 """Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from annulus_pipe.daemon.config import HeadConfig
     from annulus_pipe.daemon.observer import Observers
-    from annulus_pipe.hooks import Sheet
+    from annulus_pipe.hooks import Noun, Sheet
     from annulus_pipe.scans.scan import Scan
     from annulus_pipe.wall.profile import Profile
     from annulus_pipe.wall.survey import Survey
@@ -45,7 +45,8 @@ def lights() -> Mapping[str, type]:
     return {"ground": Ground}
 
 
-def app() -> Mapping[str, Any]:
-    from annulus_pipe.wings.crossbore import commands
+def app() -> "Mapping[str, Noun]":
+    from annulus_pipe.hooks import Noun
 
-    return {"bore": commands.app}
+    about = "Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors."
+    return {"bore": Noun(f"{__name__}.commands", about)}

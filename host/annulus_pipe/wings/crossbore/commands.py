@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, progress
+from annulus_pipe.cli.show import Json, progress, verbs
 
-app = group("Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors.")
+app = verbs()
 
 
 @app.command("detect", epilog="Example: annulus bore detect pipe-12.csv.gz -o pipe-12.json")

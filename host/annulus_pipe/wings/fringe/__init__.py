@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
-    from annulus_pipe.hooks import WingResults
+    from annulus_pipe.hooks import Noun, WingResults
     from annulus_pipe.storage.place import Where
     from annulus_pipe.twin.worlds import World
     from annulus_pipe.wings.fringe.job import FringeJob
@@ -49,7 +49,7 @@ def lights() -> Mapping[str, type]:
     return {"slides": Fringes}
 
 
-def app() -> Mapping[str, Any]:
-    from annulus_pipe.wings.fringe import commands
+def app() -> "Mapping[str, Noun]":
+    from annulus_pipe.hooks import Noun
 
-    return {"calibrate": commands.app}
+    return {"calibrate": Noun(f"{__name__}.commands")}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, progress
+from annulus_pipe.cli.show import Json, progress, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from annulus_pipe.wings.fringe.calibrate_plate import FringeCalibration
 
 
-app = group("Measure the head.")
+app = verbs()
 
 
 @app.command(

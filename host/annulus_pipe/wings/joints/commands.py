@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Json, group, progress
+from annulus_pipe.cli.show import Json, progress, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("Butt-fusion joints: beads, heat-affected zone and flaws from a CT volume, and what strengths go with.")
+app = verbs()
 
 
 @app.command("image", epilog="Example: annulus joint image joint-7/ct.tif -o joint-7/result")

@@ -5,10 +5,19 @@ and `annulus burst`.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from annulus_pipe.hooks import Noun
 
 
-def app() -> Mapping[str, Any]:
-    from annulus_pipe.wings.tai import burst_commands, commands, rig_commands
+def app() -> "Mapping[str, Noun]":
+    from annulus_pipe.hooks import Noun
 
-    return {"burst": burst_commands.app, "tai": commands.app, "twin": rig_commands.app}
+    burst = "On/off patterns of the microwave source, and the filters that decode them."
+    tai = "Thermoacoustic imaging: simulate or acquire a sweep, decode it, make its image."
+    return {
+        "burst": Noun(f"{__name__}.burst_commands", burst),
+        "tai": Noun(f"{__name__}.commands", tai),
+        "twin": Noun(f"{__name__}.rig_commands"),
+    }

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import ChipUs, Json, group, progress
+from annulus_pipe.cli.show import ChipUs, Json, progress, verbs
 from annulus_pipe.controller import CHIPS_MAX, CODES
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("On/off patterns of the microwave source, and the filters that decode them.")
+app = verbs()
 
 CODE = f"{', '.join(CODES)}, or any text of 0 and 1."
 PICTURES = (".png", ".svg", ".pdf")

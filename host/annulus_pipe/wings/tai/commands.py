@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import ChipUs, Json, group, progress
+from annulus_pipe.cli.show import ChipUs, Json, progress, verbs
 from annulus_pipe.controller import BURST_REPEAT_MAX
 from annulus_pipe.vocabulary import AnnulusError
 
-app = group("Thermoacoustic imaging: simulate or acquire a sweep, decode it, make its image.")
+app = verbs()
 
 Code = Annotated[
     str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or 0s and 1s.")

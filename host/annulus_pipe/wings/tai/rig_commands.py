@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import group, progress
+from annulus_pipe.cli.show import progress, verbs
 from annulus_pipe.cli.twin import Board
 
-app = group("The simulated head.")
+app = verbs()
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")

@@ -1,0 +1,134 @@
+// Which of the pattern's colours a stripe is: annulus_pipe.rings.decode.classify has the theory.
+
+#include <math.h>
+
+#include "native.h"
+#include "selection.h"
+
+#define UNKNOWN 255  // as rings.decode: matches any colour, proves nothing
+#define COLOURS 3
+#define ROUNDS 2  // of references moved to what their stripes look like: no stripe changes sides after that
+
+// Light of stripe q, blue 0 to red 2, of a table (r, c) of which each three rows hold `size` stripes.
+INLINE double light_of(const double* const light, const int64_t q, const int64_t channel, const int64_t size,
+                       const int64_t c)
+{
+    const int64_t part = q / size;
+    return light[(3 * part + channel) * c + q - part * size];
+}
+
+static int64_t least_members(const double part, const int64_t size)
+{
+    const double some = part * (double)size;
+    return some > 8.0 ? (int64_t)ceil(some) : 8;
+}
+
+// Moves gains (3,) of red, green, blue and references (u, 3) to this frame's own stripes. light (r, c): blue, green,
+// red of the first `size` stripes in three rows, and in the next three of as many more; every so manieth is asked.
+// bright: the part of stripes below a frame's bright level; share: of them that a colour is learnt from. work (5, w):
+// room to work in.
+DOOR void rings_learn(const double* const light, const int64_t size, const int64_t every, const int64_t* const used,
+                      const double bright, const double share, double* const work, double* const gain,
+                      double* const reference, const int64_t r, const int64_t c, const int64_t u, const int64_t w)
+{
+    const int64_t there_are = least(size, c), step = most(every, 1);
+    const int64_t some = least((there_are * (r / 3) + step - 1) / step, w);
+    double* const values = work + 4 * w;
+    for (int64_t i = 0; i < u; i++) {
+        const int64_t channel = most(0, least(used[i], COLOURS - 1));
+        for (int64_t n = 0; n < some; n++) {
+            values[n] = light_of(light, step * n, 2 - channel, there_are, c);
+        }
+        const double level = ranked(values, some, (int64_t)(bright * (double)some));
+        gain[channel] = 1.0 / (level > 1e-6 ? level : 1e-6);
+    }
+    double* const red = work;
+    double* const green = work + w;
+    double* const blue = work + 2 * w;
+    double* const name = work + 3 * w;
+    int64_t there = 0;
+    for (int64_t n = 0; n < some; n++) {
+        const double r_light = light_of(light, step * n, 2, there_are, c) * gain[0];
+        const double g = light_of(light, step * n, 1, there_are, c) * gain[1];
+        const double b = light_of(light, step * n, 0, there_are, c) * gain[2];
+        const double length = sqrt((r_light * r_light + g * g) + b * b);
+        if (length > 1e-6) {
+            red[there] = r_light / length;
+            green[there] = g / length;
+            blue[there] = b / length;
+            there++;
+        }
+    }
+    const int64_t enough = least_members(share, there);
+    for (int round = 0; round < ROUNDS; round++) {
+        for (int64_t n = 0; n < there; n++) {
+            double best = -1.0, which = 0.0;
+            for (int64_t i = 0; i < u; i++) {
+                const double* const ours = reference + 3 * i;
+                const double likeness = (red[n] * ours[0] + green[n] * ours[1]) + blue[n] * ours[2];
+                which = likeness > best ? (double)i : which;
+                best = likeness > best ? likeness : best;
+            }
+            name[n] = which;
+        }
+        for (int64_t i = 0; i < u; i++) {
+            double median[COLOURS], square = 0.0;
+            int64_t members = 0;
+            for (int channel = 0; channel < COLOURS; channel++) {
+                const double* const of_channel = work + channel * w;
+                members = 0;
+                for (int64_t n = 0; n < there; n++) {
+                    values[members] = of_channel[n];
+                    members += name[n] == (double)i;
+                }
+                if (members < enough) {
+                    break;
+                }
+                median[channel] = middle(values, members);
+                square += median[channel] * median[channel];
+            }
+            if (members >= enough && square > 0.0) {
+                for (int channel = 0; channel < COLOURS; channel++) {
+                    reference[3 * i + channel] = median[channel] / sqrt(square);
+                }
+            }
+        }
+    }
+}
+
+// Colours of stripes, indices into "RGB" or UNKNOWN: out (s, c), of a table of light as above. likeness: a colour must
+// be nearer its reference than any other by this much of the cosine.
+DOOR void rings_name(const double* const light, const int64_t size, const double* const gain,
+                     const double* const reference, const int64_t* const used, const double likeness,
+                     uint8_t* const out, const int64_t r, const int64_t c, const int64_t u, const int64_t s)
+{
+    double ours[COLOURS][COLOURS] = {{0.0}};
+    int32_t names[COLOURS] = {0};
+    const int64_t colours = least(u, COLOURS);
+    for (int64_t i = 0; i < colours; i++) {
+        names[i] = (int32_t)bounded(used[i], 0, COLOURS - 1);
+        for (int channel = 0; channel < COLOURS; channel++) {
+            ours[i][channel] = reference[3 * i + channel];
+        }
+    }
+    for (int64_t part = 0; part < least(s, r / 3); part++) {
+        const double* const blue = light + 3 * part * c;
+        const double* const green = blue + c;
+        const double* const red = green + c;
+        for (int64_t n = 0; n < least(size, c); n++) {
+            const double x = red[n] * gain[0], y = green[n] * gain[1], z = blue[n] * gain[2];
+            const double length = sqrt((x * x + y * y) + z * z);
+            double first = -1.0, second = -1.0;
+            int32_t name = 0;
+            for (int64_t i = 0; i < colours; i++) {
+                const double like = (ours[i][0] * x + ours[i][1] * y) + ours[i][2] * z;
+                const double lesser = like < first ? like : first;
+                second = lesser > second ? lesser : second;
+                name = like > first ? names[i] : name;
+                first = like > first ? like : first;
+            }
+            const bool clear = (length > 1e-6) & ((colours == 1) | (first - second > likeness * length));
+            out[part * c + n] = (uint8_t)(clear ? name : UNKNOWN);
+        }
+    }
+}

@@ -1,0 +1,203 @@
+// A frame's strongest channel, as one plane that lines are read from: where slits are is read there, their colours in
+// the frame itself. That pass also fetches the frame in the order of memory, once.
+
+#include <math.h>
+#include <string.h>
+
+#include "native.h"
+#include "rings_picture.h"
+
+typedef uint8_t bytes_t __attribute__((vector_size(16), aligned(1), may_alias));
+
+#define PROBE_LEVELS 256
+#define AHEAD 64      // bytes of a cache line
+#define ROWS_AHEAD 2  // that are fetched while one is worked on
+
+// The level below or at which that part of what was counted lies.
+static int64_t rank_of(const int64_t counted[PROBE_LEVELS], const double part)
+{
+    int64_t all = 0;
+    for (int64_t level = 0; level < PROBE_LEVELS; level++) {
+        all += counted[level];
+    }
+    const double wanted = part * (double)all;
+    int64_t total = counted[0], level = 0;
+    while ((double)total < wanted && level < PROBE_LEVELS - 1) {
+        level++;
+        total += counted[level];
+    }
+    return level;
+}
+
+// What a coarse look at the frame says: levels of black (3,), gains in 1/64 (3,), and the samples from where to where
+// there is light (2,). A slit has light on both sides, so there is none outside. every: lines, px: samples, between the
+// places looked at. limits: (5,) the part of the bright level that is light, samples kept around it, how many times
+// weaker a channel is raised and by how much at most, and the least samples of a line.
+DOOR void rings_look(const uint8_t* const image, const int64_t phase, const uint32_t* const address,
+                     const int64_t* const stop, const int64_t every, const int64_t px, const double* const limits,
+                     uint8_t* const seen, int32_t* const black, int32_t* const gain, int64_t* const range,
+                     const int64_t h, const int64_t w, const int64_t b, const int64_t l, const int64_t n,
+                     const int64_t j, const int64_t s)
+{
+    const int64_t lines = (j + every - 1) / every;
+    const picture_t picture = {image, w, h, phase};
+    int64_t counted[3][PROBE_LEVELS];
+    memset(counted, 0, sizeof counted);
+    uint8_t* place = seen;
+    for (int64_t line = 0; line < lines; line++) {
+        const uint32_t* const along = address + (line * every + 1) * n;
+        const int64_t looks = (least(stop[line * every], n) + px - 1) / px;
+        for (int64_t k = 0; k < looks; k++) {
+            const int64_t at = along[k * px];
+            const pixel_t own = at < h * w ? pixel_of(&picture, at % w, at / w, b != IN_COLOURS) : (pixel_t){0, 0, 0};
+            counted[0][own.blue]++;
+            counted[1][own.green]++;
+            counted[2][own.red]++;
+            if (place + 3 <= seen + s) {
+                *place++ = own.blue;
+                *place++ = own.green;
+                *place++ = own.red;
+            }
+        }
+    }
+    double light[3], greatest = 0.0;
+    for (int64_t c = 0; c < 3; c++) {
+        black[c] = (int32_t)rank_of(counted[c], 0.02);
+        light[c] = (double)most(rank_of(counted[c], 0.97) - black[c], 1);
+        greatest = light[c] > greatest ? light[c] : greatest;
+    }
+    for (int64_t c = 0; c < 3; c++) {
+        const double weaker = greatest / light[c];
+        gain[c] = 64;
+        if (weaker > limits[2]) {
+            gain[c] = (int32_t)rint(64.0 * (weaker < limits[3] ? weaker : limits[3]));
+        } else {
+            black[c] = 0;
+        }
+    }
+    // one sample brighter than the limit is noise, one together with the next is light
+    const double bright = limits[0] * greatest;
+    const int64_t limit = (int64_t)(64.0 * (bright > 2.0 ? bright : 2.0));
+    int64_t first = n, last = 0;
+    const uint8_t* again = seen;
+    for (int64_t line = 0; line < lines; line++) {
+        const int64_t looks = (least(stop[line * every], n) + px - 1) / px;
+        bool before = false;
+        for (int64_t k = 0; k < looks && again < place; k++, again += 3) {
+            bool lit = false;
+            for (int64_t c = 0; c < 3; c++) {
+                lit |= ((int32_t)again[c] - black[c]) * gain[c] > limit;
+            }
+            if (lit && before) {
+                first = least(first, (k - 1) * px);
+                last = most(last, k * px);
+            }
+            before = lit;
+        }
+    }
+    const int64_t margin = (int64_t)limits[1], shortest = (int64_t)limits[4];
+    range[0] = most(least(first - margin, n - shortest), 0);
+    range[1] = least(most(least(last + margin, n), range[0] + shortest), n);
+    (void)l;
+}
+
+// max(B, G, R) of size pixels. Each load is of 16 neighbouring bytes, the greatest of three such loads a byte apart has
+// every third byte right; three of those are 16 pixels. The last few are taken one by one.
+static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
+{
+    static const bytes_t FIRST = {0, 3, 6, 9, 12, 15, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16};
+    static const bytes_t SECOND = {16, 16, 16, 16, 16, 16, 2, 5, 8, 11, 14, 16, 16, 16, 16, 16};
+    static const bytes_t THIRD = {16, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16, 1, 4, 7, 10, 13};
+    const bytes_t none = {0};
+    int64_t x = 0;
+    for (; x + 17 <= size; x += 16, source += 48, out += 16) {  // one more: the last load is two bytes beyond
+        uint8_t top[48];
+        for (int k = 0; k < 48; k++) {
+            const uint8_t a = source[k], b = source[k + 1], c = source[k + 2];
+            const uint8_t ab = a > b ? a : b;
+            top[k] = ab > c ? ab : c;
+        }
+        bytes_t part[3];
+        memcpy(part, top, sizeof part);
+        *(bytes_t*)out = __builtin_shuffle(part[0], none, FIRST) | __builtin_shuffle(part[1], none, SECOND) |
+                         __builtin_shuffle(part[2], none, THIRD);
+    }
+    for (; x < size; x++, source += 3, out++) {
+        const uint8_t a = source[0], b = source[1], c = source[2];
+        const uint8_t ab = a > b ? a : b;
+        *out = ab > c ? ab : c;
+    }
+}
+
+// The same of cells (x0 .. x0 + size) of a row of a mosaic, none of them at its margin. Of a green cell the others are
+// the means of two neighbours, of a red or blue one those of four. green: the first one is.
+static void greatest_of_cells(const uint8_t* const at, const int64_t w, const bool green, uint8_t* const restrict out,
+                              const int64_t size)
+{
+    const uint8_t odd = green ? 0 : 255, even = green ? 255 : 0;
+    for (int64_t k = 0; k < size; k++) {
+        const uint8_t a = at[k - 1], b = at[k + 1], c = at[k - w], d = at[k + w], own = at[k];
+        const uint8_t across = mean_of_two(a, b), along = mean_of_two(c, d);
+        const uint8_t cross = mean_of_four(c, d, a, b);
+        const uint8_t askew = mean_of_four(at[k - w - 1], at[k - w + 1], at[k + w - 1], at[k + w + 1]);
+        const uint8_t of_two = across > along ? across : along, of_four = cross > askew ? cross : askew;
+        const uint8_t mask = k & 1 ? odd : even;
+        const uint8_t others = (uint8_t)((of_two & mask) | (of_four & ~mask));
+        out[k] = own > others ? own : others;
+    }
+}
+
+// The same with black taken off and weak channels raised, at most 255.
+static void raised_of(const picture_t* const picture, const int64_t x, const int64_t y, const bool mosaic,
+                      uint8_t* const out, const int64_t size, const int32_t black[3], const int32_t gain[3])
+{
+    for (int64_t k = 0; k < size; k++) {
+        const pixel_t own = pixel_of(picture, x + k, y, mosaic);
+        const int32_t blue = (own.blue - black[0]) * gain[0], green = (own.green - black[1]) * gain[1];
+        const int32_t red = (own.red - black[2]) * gain[2];
+        int32_t top = blue > green ? blue : green;
+        top = (top > red ? top : red) >> 6;
+        out[k] = (uint8_t)(top < 0 ? 0 : top < 255 ? top : 255);
+    }
+}
+
+// The strongest channel of the pixels between two circles, px, about (cx, cy). plane: (h * w + tail,), of which the
+// tail stays 0 for places outside of the image.
+DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const double cx, const double cy,
+                          const double inner, const double outer, const int32_t* const black, const int32_t* const gain,
+                          uint8_t* const plane, const int64_t h, const int64_t w, const int64_t b, const int64_t p)
+{
+    const picture_t picture = {image, w, h, phase};
+    const bool raised = gain[0] != 64 || gain[1] != 64 || gain[2] != 64, mosaic = b != IN_COLOURS;
+    for (int64_t y = 0; y < h && (y + 1) * w <= p; y++) {
+        const double up = (double)y - cy, far = outer * outer - up * up;
+        if (far <= 0.0) {
+            continue;
+        }
+        const double half = sqrt(far), within = inner * inner - up * up;
+        const double hole = inner > 0.0 && within > 0.0 ? sqrt(within) : 0.0;
+        for (int64_t side = 0; side < 2; side++) {
+            const int64_t margin = mosaic ? 1 : 0;
+            const int64_t from = whole(side == 0 ? cx - half : cx + hole, margin, w);
+            const int64_t to = least(whole(side == 0 ? cx - hole : cx + half, 0, w) + 2, w - margin);
+            if (to <= from) {
+                continue;
+            }
+            const uint8_t* const source = image + b * (y * w + from);
+            if (y + ROWS_AHEAD < h) {
+                for (int64_t k = 0; k < b * (to - from); k += AHEAD) {
+                    __builtin_prefetch(source + ROWS_AHEAD * b * w + k);
+                }
+            }
+            uint8_t* const out = plane + y * w + from;
+            if (raised) {
+                raised_of(&picture, from, y, mosaic, out, to - from, black, gain);
+            } else if (!mosaic) {
+                greatest_of(source, out, to - from);
+            } else if (y > 0 && y < h - 1) {
+                const bool green = ((y ^ from ^ phase ^ (phase >> 1)) & 1) != 0;
+                greatest_of_cells(source, w, green, out, to - from);
+            }
+        }
+    }
+}
