@@ -15,7 +15,7 @@ from annulus_pipe.doctor.drive import disk
 from annulus_pipe.doctor.eyes import cameras
 from annulus_pipe.doctor.lines import boards, libusb, ports, rule
 from annulus_pipe.doctor.machine import clock, kernels, memory, secrets, versions
-from annulus_pipe.reprocess import make_ready
+from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.twin.worlds import demo_world
 from annulus_pipe.vocabulary import AnnulusError
 

@@ -32,8 +32,8 @@ from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.vocabulary import AnnulusError, Label
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 from annulus_pipe.wall.texture import LedFrame
 
 FRAMES, STEP_MM = 12, 3.0  # as many as a survey needs to do all its work

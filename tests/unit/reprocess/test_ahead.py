@@ -9,8 +9,10 @@ from numba.core.registry import CPUDispatcher
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric import compiling
 from annulus_pipe.numeric.telling import LINE
-from annulus_pipe.reprocess import ahead, open_job, reprocess
+from annulus_pipe.reprocess import ahead
 from annulus_pipe.reprocess.ahead import compile_all, make_ready, work_of
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.twin.worlds import World, demo_world, stereo_world
 from tests import kept
