@@ -179,7 +179,6 @@ def _one(scan: str, place: "StoragePath", executor: "Executor", given: _With, ba
 def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
     from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess.ahead import make_ready
     from annulus_pipe.reprocess.engine import look_at
     from annulus_pipe.reprocess.job import open_job
     from annulus_pipe.reprocess.whole import surveyed
@@ -196,8 +195,7 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
         return {"ok": True, "results": str(place), "why": None, **made}
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
-    look_at(work)  # what is refused is refused before loops are compiled
-    make_ready(work.calibration, tell)
+    look_at(work)  # what is refused is refused before a folder is made
     if place.local is not None:
         prepare_folder(place.local)
     about = ReportContext(scan, origin)

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.shipped import LOOPS, shipped
+from annulus_pipe.shipped import LOOPS, of_checkout, shipped
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -47,19 +47,21 @@ _BYTE = ctypes.c_char.from_buffer
 _ARGUMENT = re.compile(r"(?P<kind>\w\d)(\[(?P<sizes>[\w, ]*)\](?P<written>!?)(?P<optional>\??))? (?P<name>\w+)")
 
 
-def library_name(level: str) -> str:
-    return f"{LOOPS}{level}.so"
-
-
 @functools.cache
 def library() -> ctypes.CDLL:
     """The loops for this processor. Raises AnnulusError where they were not built or cannot be loaded."""
+    return _load(shipped(f"{LOOPS}{level()}.so"))
+
+
+@functools.cache
+def level() -> str:
+    """Which of LEVELS is loaded. Raises AnnulusError as `library` does."""
     if chosen := os.environ.get(CHOSEN):
-        return _load(shipped(library_name(chosen)))
-    usual = _load(shipped(library_name(LEVELS[2 if platform.machine() == "x86_64" else 0])))
-    usual.processor_level.restype = ctypes.c_int64
-    level = LEVELS.get(usual.processor_level(), LEVELS[2])
-    return _load(shipped(library_name(level)))
+        return chosen
+    usual = LEVELS[2 if platform.machine() == "x86_64" else 0]
+    able = _load(shipped(f"{LOOPS}{usual}.so")).processor_level
+    able.restype = ctypes.c_int64
+    return LEVELS.get(able(), usual)
 
 
 def _load(path: Path) -> ctypes.CDLL:
@@ -75,12 +77,20 @@ def _load(path: Path) -> ctypes.CDLL:
     return loaded
 
 
+def built_from() -> str:
+    """A digest of the C that the loaded library was built from."""
+    return str(library().library_sources().decode())
+
+
 @functools.cache
 def sources() -> str:
     """A digest of the C in this checkout, as its Makefile makes it; empty where annulus came as a wheel."""
-    folder = Path(__file__).resolve().parents[2] / "native"
+    try:
+        folder = of_checkout("host/native/level.c").parent
+    except AnnulusError:
+        return ""
     files = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16] if files else ""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 class Argument:

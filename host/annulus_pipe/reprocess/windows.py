@@ -23,7 +23,8 @@ from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale
 from annulus_pipe.wall.survey import Survey, survey
-from annulus_pipe.wall.windows import Window, WindowPlan, between
+from annulus_pipe.wall.windows import Window, WindowPlan
+from annulus_pipe.wall.within import between
 
 NOT_MEASURED, THINNED = "stretch-not-measured", "frames-thinned"  # kinds of finding
 

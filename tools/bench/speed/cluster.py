@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.reprocess.cluster import Dask, packed
 from annulus_pipe.reprocess.engine import measure
 from annulus_pipe.reprocess.executors import Executor, Failed, Processes, in_process
@@ -88,7 +87,6 @@ def rows() -> list[Row]:
         folder = Path(name)
         cluster.hire(2)
         job = _scan(folder / "scan.mcap")
-        make_ready(job.calibration, print)
         spent = _Task()
         tasks, scans = [*_tasks(job, folder, cluster, spent)], [*_scans(job, folder, cluster, spent)]
         return [*tasks, *scans, *_model(job, spent)]
