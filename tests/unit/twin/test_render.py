@@ -1,6 +1,5 @@
 """The picture against the geometry it was drawn from, and against closed forms of optics and light."""
 
-import ctypes
 import math
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ import pytest
 from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric import native
-from annulus_pipe.shipped import shipped
+from annulus_pipe.shipped import LOOPS, shipped
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import (
     World,
@@ -194,10 +193,10 @@ def test_a_frame_has_the_same_bits_from_every_library(name: str, monkeypatch: py
     renderer, z_mm = Renderer(world), 0.4 * world.travel_mm
     best = native.library().processor_level()
     drawn = []
-    for level, library in native.LEVELS.items():
+    for level, name_of_it in native.LEVELS.items():
         if level > best or (level == 0) != (best == 0):
             continue
-        loaded = ctypes.CDLL(str(shipped(native.library_name(library))))
+        loaded = native._load(shipped(f"{LOOPS}{name_of_it}.so"))
         monkeypatch.setattr(native, "library", lambda loaded=loaded: loaded)
         for door in native.DOORS:
             monkeypatch.setattr(door, "_function", None)
