@@ -68,4 +68,22 @@ static inline float middle_f(float* const values, const int64_t size)
     return ranked_f(values, size, size / 2);
 }
 
+// Median as numpy has it, of the two in the middle their mean; reorders the values. 0 of nothing.
+#define HALFWAY(NAME, TYPE, MIDDLE, HALF)                                                                              \
+    static inline TYPE NAME(TYPE* const values, const int64_t size)                                                    \
+    {                                                                                                                  \
+        const TYPE high = MIDDLE(values, size);                                                                        \
+        if (size % 2 || size < 2) {                                                                                    \
+            return high;                                                                                               \
+        }                                                                                                              \
+        TYPE low = values[0]; /* what lies before the middle is no greater */                                          \
+        for (int64_t i = 1; i < size / 2; i++) {                                                                       \
+            low = values[i] > low ? values[i] : low;                                                                   \
+        }                                                                                                              \
+        return HALF * (low + high);                                                                                    \
+    }
+
+HALFWAY(halfway, double, middle, 0.5)
+HALFWAY(halfway_f, float, middle_f, 0.5F)
+
 #endif

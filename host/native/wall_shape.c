@@ -47,20 +47,6 @@ INLINE double sum_of(const double* const a, const double* const b, const double*
     return lane_sum(lanes);
 }
 
-// Median as numpy has it, of the two in the middle their mean; reorders the values.
-static double median_of(double* const values, const int64_t size)
-{
-    const double high = middle(values, size);
-    if (size % 2 || size < 2) {
-        return high;
-    }
-    double low = values[0];  // what lies before the middle is no greater
-    for (int64_t i = 1; i < size / 2; i++) {
-        low = values[i] > low ? values[i] : low;
-    }
-    return 0.5 * (low + high);
-}
-
 // Writes what a fit leaves of the radii.
 static void leave(const Station* const at, const double fit[SIZE])
 {
@@ -137,7 +123,7 @@ static void graduated(const Station* const at, double fit[SIZE], const double ke
 static double rest_of(const Station* const at, const double fit[SIZE])
 {
     leave(at, fit);
-    return at->of_mad * median_of(at->work, at->size);
+    return at->of_mad * halfway(at->work, at->size);
 }
 
 // K of columns that were not seen, in units of 1 / (sigma^2 alike): one unit for each of centre and ovality where
@@ -196,12 +182,12 @@ static void fit_of(const Station* const at, const double* const basis, const dou
     const bool is_usual =
         isfinite(usual[0]) && isfinite(usual[1]) && isfinite(usual[2]) && isfinite(usual[3]) && isfinite(usual[4]);
     memcpy(at->work, at->radius, (size_t)at->size * sizeof *at->work);
-    const double centre = median_of(at->work, at->size);
+    const double centre = halfway(at->work, at->size);
     keep_round(basis, line, a, 1.0, centre, alike, round, kept);
     if (is_usual) {  // the pipe's shape changes slowly: where half of the columns still show it, the rest is a defect
         memcpy(begun, usual, sizeof begun);
         leave(at, begun);
-        begun[0] += median_of(memcpy(at->work, at->left, (size_t)at->size * sizeof *at->work), at->size);
+        begun[0] += halfway(memcpy(at->work, at->left, (size_t)at->size * sizeof *at->work), at->size);
         graduated(at, begun, kept);
         leave(at, begun);
         int64_t agree = 0;
@@ -217,7 +203,7 @@ static void fit_of(const Station* const at, const double* const basis, const dou
         at->work[n] = fabs(at->radius[n] - centre);
         at->weight[n] = 1.0;
     }
-    const double spread = at->of_mad * median_of(at->work, at->size);
+    const double spread = at->of_mad * halfway(at->work, at->size);
     const double rest = spread > at->least ? spread : at->least;
     normal_of(at, normal, right);
     if (!solved(normal, right, rest * rest, kept)) {
@@ -310,7 +296,7 @@ DOOR void running_medians(const double* const values, const int64_t* const first
                 room[size] = value;
                 size += isfinite(value) ? 1 : 0;
             }
-            out[i * k + j] = size ? median_of(room, size) : (double)NAN;
+            out[i * k + j] = size ? halfway(room, size) : (double)NAN;
         }
     }
 }

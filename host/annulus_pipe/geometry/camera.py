@@ -20,6 +20,7 @@ With looks = "ahead" the camera stands behind the ball and looks down the pipe: 
 image shows what lies behind, and rings appear in reversed order, the innermost cone outermost.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -27,10 +28,25 @@ import cv2
 import numpy as np
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.native import door
 
 Model = Literal["pinhole", "fisheye", "mirror"]
 
 BISECTIONS, EXACT = 60, 1e-13  # of the angle at which a ball reflects, radians; test_mirror
+COEFFICIENTS = 12  # of a lens in OpenCV's order, before the two angles of a tilted sensor
+
+_projected = door(
+    "projected",
+    "f8[n,3] points",
+    "f8[3,3] turn",
+    "f8[3] shift",
+    "f8 nearest",
+    "b1 fisheye",
+    "f8[4] lens",
+    "f8[12] k",
+    "f8[3,3] tilt",
+    "f8[n,2]! out",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,33 +200,43 @@ class Camera:
         rays = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
-    def project(self, points: FloatArray) -> FloatArray:
-        """(N, 3) mm in the camera frame -> (N, 2) pixels; NaN behind a pinhole and where the mirror is in the way."""
-        points = np.asarray(points, dtype=float)
+    def project(
+        self,
+        points: FloatArray,
+        turn: FloatArray | None = None,
+        shift: FloatArray | None = None,
+        nearest_mm: float = -math.inf,
+    ) -> FloatArray:
+        """(N, 3) mm in the camera frame -> (N, 2) pixels; NaN behind a pinhole and where the mirror is in the way.
+
+        turn (3, 3), shift (3,) : of points in another frame, which are at turn p + shift in the camera's. nearest_mm :
+        what is less far ahead has no pixel.
+        """
+        points = np.ascontiguousarray(points, float)
+        turn = np.eye(3) if turn is None else np.ascontiguousarray(turn, float)
+        shift = np.zeros(3) if shift is None else np.ascontiguousarray(shift, float)
         if self.mirror is not None:
-            seen = self.mirror.meet(points)
-            return self._inner.project((seen - self.mirror.eye_mm) * self.mirror.turn)
-        x, y, z = points.T
-        if self.model == "fisheye":
-            rho = np.hypot(x, y)
-            theta = np.arctan2(rho, z)
-            t2 = theta * theta
-            k1, k2, k3, k4 = self._coefficients()[:4]
-            distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
-            scale = np.where(rho > 1e-12, distorted / np.maximum(rho, 1e-12), 1.0 / np.maximum(np.abs(z), 1e-12))
-            return np.stack([self.fx * x * scale + self.cx, self.fy * y * scale + self.cy], axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            flat = np.where(z[:, None] > 1e-9, points[:, :2] / z[:, None], np.nan)
-        if any(self.distortion):
-            ahead = np.isfinite(flat[:, 0])
-            out = np.full_like(flat, np.nan)
-            if ahead.any():
-                shaped = np.concatenate([flat[ahead], np.ones((int(ahead.sum()), 1))], axis=1).reshape(-1, 1, 3)
-                out[ahead] = cv2.projectPoints(shaped, np.zeros(3), np.zeros(3), self.matrix, self._coefficients())[
-                    0
-                ].reshape(-1, 2)
-            return out
-        return np.asarray(flat * [self.fx, self.fy] + [self.cx, self.cy])
+            moved = points @ turn.T + shift
+            pixels = self._inner.project((self.mirror.meet(moved) - self.mirror.eye_mm) * self.mirror.turn)
+            pixels[moved[:, 2] < nearest_mm] = np.nan
+            return pixels
+        k = np.zeros(COEFFICIENTS + 2)
+        k[: len(self.distortion)] = self.distortion
+        tilt = _tilted(*k[COEFFICIENTS:])
+        out = np.empty((len(points), 2))
+        lens = np.array([self.fx, self.fy, self.cx, self.cy], float)
+        _projected(points, turn, shift, nearest_mm, self.model == "fisheye", lens, k[:COEFFICIENTS], tilt, out)
+        return out
+
+
+def _tilted(about_x: float, about_y: float) -> FloatArray:
+    """(3, 3) what a sensor that is tilted so does to an image, OpenCV's tauX and tauY."""
+    if not (about_x or about_y):
+        return np.eye(3)
+    (cx, cy), (sx, sy) = np.cos([about_x, about_y]), np.sin([about_x, about_y])
+    turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    flat = np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1]])
+    return np.asarray(flat @ turn)
 
 
 def _invert_kannala_brandt(distorted: FloatArray, k: FloatArray) -> FloatArray:

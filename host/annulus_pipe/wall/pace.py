@@ -9,21 +9,18 @@ Assumed: the focal length and the pipe's radius are right to better than the err
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.numeric.late import ndimage
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.texture import LedFrame, pixels_of, pose_at
+from annulus_pipe.wall.texture import HeadPath, LedFrame, pixels_of
 
 # Set on the drawn pipes of the blind bench, even seeds, by physics; guarded by test_pace.py as a whole.
 ROW = 0.004  # of the radius: a strip's rows, finer than what a pixel shows of a near wall
@@ -34,6 +31,7 @@ SECTORS = 12  # .. each with its shift: a head's lean moves marks one way on one
 REACH = 0.07  # of the radius: shifts that are tried, 0.16 of the usual distance between two LED frames
 SHARP = (1.5, 0.7)  # rows, columns: what is finer is noise
 SMOOTH = (10.0, 4.0)  # .. and what is coarser is light
+CUT = 4.0  # standard deviations: of a bell that averages
 DARK = 4.0  # grey levels: beneath is no light
 FAR_LEAST = 0.15  # of the radius: frames nearer to one another tell no distance
 ALIKE = 0.35  # correlation: less is chance
@@ -47,6 +45,21 @@ SURE = 4.0  # .. so many standard deviations
 
 ODOMETER = "odometer"  # kind of a finding
 
+_light_at = door("light_at", "u1[h,w,3] image", "f8[n,2] pixels", "f4[n]! light", "b1[n]! inside")
+_bell_averaged = door(
+    "bell_averaged",
+    "f4[r,a] field",
+    "f4[k] half",
+    "f4[m] beside",
+    "f4[b]! line",
+    "f4[r,a]! middle_field",
+    "f4[r,a]! out",
+)
+_row_medians = door("row_medians", "f4[r,a] field", "f4[a]! line", "f4[r]! out")
+_strip_sums = door(
+    "strip_sums", "f4[r,a]! one", "f4[q,a]! other", "f4[r,a]! seen_one", "f4[q,a]! seen_other", "f8[d,6,a]! sums"
+)
+
 
 class Pace:
     """Watches the LED frames on their way to the wall's picture."""
@@ -55,7 +68,7 @@ class Pace:
         self, wall: Wall, centreline: Centreline, calibration: Calibration, profiles: Sequence[Profile]
     ) -> None:
         self._wall, self._centreline, self._calibration = wall, centreline, calibration
-        self._profiles = profiles
+        self._path = HeadPath(profiles)
         self._radius_mm = wall.mean_radius_mm
         self._wide_mm = np.nan_to_num(wall.filled_mm().astype(np.float64), nan=self._radius_mm)
         self._before: dict[int, tuple[int, Float32Array, float]] = {}  # by camera: first row, strip, station
@@ -109,7 +122,7 @@ class Pace:
 
     def _strip(self, frame: LedFrame) -> tuple[int, Float32Array] | None:
         """Number of the first row, from the scan's beginning, and (rows, COLUMNS) what is marked; NaN: not seen."""
-        pose, step = pose_at(self._profiles, frame.z_mm), ROW * self._radius_mm
+        pose, step = self._path.at(frame.z_mm), ROW * self._radius_mm
         if pose is None:
             return None
         first = int(np.ceil((frame.z_mm + NEAREST * self._radius_mm) / step))
@@ -120,29 +133,39 @@ class Pace:
         radius = self._wide_mm[row][:, (clock / 360.0 * len(wall.clock_deg)).astype(np.intp)]
         t = np.radians(clock)
         points = np.stack([radius * np.sin(t), -radius * np.cos(t), np.broadcast_to(z[:, None], radius.shape)], axis=-1)
-        pixels = pixels_of(
-            points.reshape(-1, 3), self._centreline, self._calibration, pose, frame.z_mm, frame.camera
-        ).reshape((*points.shape[:2], 2))
-        height, width = frame.image_bgr.shape[:2]
-        inside = (pixels >= 1).all(axis=2) & (pixels[..., 0] <= width - 2) & (pixels[..., 1] <= height - 2)
-        inside &= ((z >= wall.z_mm[0]) & (z <= wall.z_mm[-1]))[:, None]
-        grid = np.where(inside[..., None], pixels, -1.0).astype(np.float32)
-        seen = cv2.remap(frame.image_bgr.max(axis=2).astype(np.float32), grid, None, cv2.INTER_LINEAR)
-        return (first, _marks(np.log(np.maximum(seen, DARK)), inside)) if inside.any() else None
+        pixels = pixels_of(points.reshape(-1, 3), self._centreline, self._calibration, pose, frame.z_mm, frame.camera)
+        light, inside = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.bool_)
+        _light_at(np.ascontiguousarray(frame.image_bgr), pixels, light, inside)
+        seen = inside.reshape(radius.shape) & ((z >= wall.z_mm[0]) & (z <= wall.z_mm[-1]))[:, None]
+        return (first, _marks(np.log(np.maximum(light, DARK)).reshape(seen.shape), seen)) if seen.any() else None
 
 
-def _marks(light: Float32Array, seen: NDArray[np.bool_]) -> Float32Array:
+def _marks(light: Float32Array, seen: BoolArray) -> Float32Array:
     """What is darker or brighter than about it, the lamp's fall-off along the pipe taken out; NaN where not seen."""
+    fields = np.where(seen, light, np.float32(0.0)), seen.astype(np.float32)
 
-    def even(size: tuple[float, float]) -> FloatArray:
-        part = ndimage.gaussian_filter(seen.astype(np.float32), size)
-        return np.asarray(ndimage.gaussian_filter(np.where(seen, light, 0.0), size) / np.maximum(part, 0.3))
+    def even(size: tuple[float, float]) -> Float32Array:
+        total, part = (_averaged(field, size) for field in fields)
+        return np.asarray(total / np.maximum(part, np.float32(0.3)))
 
-    marks = np.where(seen, even(SHARP) - even(SMOOTH), np.nan)
-    some = seen.any(axis=1)
-    marks[some] -= np.nanmedian(marks[some], axis=1, keepdims=True)
-    most = 4.0 * SIGMA_OF_MAD * float(np.nanmedian(np.abs(marks)))
-    return np.clip(marks, -most, most).astype(np.float32)
+    marks = np.where(seen, even(SHARP) - even(SMOOTH), np.float32(np.nan))
+    middle = np.empty(len(marks), np.float32)
+    _row_medians(marks, np.empty(marks.shape[1], np.float32), middle)
+    marks -= middle[:, None]
+    most = 4.0 * SIGMA_OF_MAD * float(np.median(np.abs(marks[seen])))
+    return np.clip(marks, -most, most)
+
+
+def _averaged(field: Float32Array, size: tuple[float, float]) -> Float32Array:
+    """By a normal bell of so many rows and columns, cut off at four of them, the field reflected at its ends."""
+    bells = []
+    for sigma in size:
+        bell = np.exp(-0.5 * (np.arange(int(CUT * sigma + 0.5) + 1) / sigma) ** 2)
+        bells.append((bell / (2.0 * bell.sum() - 1.0)).astype(np.float32))
+    out = np.empty_like(field)
+    line = np.empty(field.shape[1] + 2 * len(bells[1]), np.float32)
+    _bell_averaged(field, *bells, line, np.empty_like(field), out)
+    return out
 
 
 def _shift(first_a: int, a: Float32Array, first_b: int, b: Float32Array) -> float | None:
@@ -152,8 +175,9 @@ def _shift(first_a: int, a: Float32Array, first_b: int, b: Float32Array) -> floa
     rows = min(first_a + len(a), first_b + len(b)) - reach - start
     if rows <= reach:
         return None
-    part = a[start - first_a :][:rows]
-    alike = np.stack([_correlations(part, b[start - first_b + k :][:rows]) for k in range(-reach, reach + 1)])
+    part = a[start - first_a :][:rows].copy()
+    other = b[start - first_b - reach :][: rows + 2 * reach].copy()
+    alike = _correlations(part, other, 2 * reach + 1)
     shifts, turns = [], []
     for sector, best in enumerate(alike.argmax(axis=0)):
         if alike[best, sector] < ALIKE or not 0 < best < 2 * reach:
@@ -166,17 +190,15 @@ def _shift(first_a: int, a: Float32Array, first_b: int, b: Float32Array) -> floa
     return _even_part(np.array(shifts), np.array(turns))
 
 
-def _correlations(a: Float32Array, b: Float32Array) -> FloatArray:
-    """(SECTORS,) of two strips alike in size, sector by sector; -1 where too little of one was seen."""
-    both = np.isfinite(a) & np.isfinite(b)
-
-    def total(of: NDArray[Any]) -> FloatArray:
-        return np.asarray(of.sum(axis=0, dtype=np.float64).reshape(SECTORS, -1).sum(axis=1))
-
-    x, y, n = np.where(both, a, 0.0), np.where(both, b, 0.0), total(both)
+def _correlations(a: Float32Array, b: Float32Array, shifts: int) -> FloatArray:
+    """(shifts, SECTORS) of a strip with one that is longer by as many rows, sector by sector; -1 where too little of
+    one was seen. Changes both."""
+    sums = np.empty((shifts, 6, COLUMNS))
+    _strip_sums(a, b, np.empty_like(a), np.empty_like(b), sums)
+    n, x, y, xx, yy, xy = np.moveaxis(sums.reshape(shifts, 6, SECTORS, -1).sum(axis=3), 1, 0)
     each = np.maximum(n, 1.0)
-    across = total(x * y) - total(x) * total(y) / each
-    size = (total(x * x) - total(x) ** 2 / each) * (total(y * y) - total(y) ** 2 / each)
+    across = xy - x * y / each
+    size = (xx - x**2 / each) * (yy - y**2 / each)
     return np.where(n < PIXELS_LEAST, -1.0, across / np.sqrt(np.maximum(size, 1e-12)))
 
 

@@ -17,7 +17,7 @@ from annulus_pipe.numeric.arrays import Float32Array, FloatArray, Image
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wall.texture import pixels_of, pose_at
+from annulus_pipe.wall.texture import HeadPath, pixels_of
 
 NEAREST_OF_RADIUS = 0.3  # of the radius: how far ahead of the head a place is looked for, at least
 FARTHEST_OF_RADIUS = 4.0  # .. and at most
@@ -70,7 +70,7 @@ def best_views(
 ) -> dict[int, DefectView]:
     """The best view of each of some defects, by its index; none of an out-of-round stretch, which is no place, and of
     what no shot shows half of."""
-    pose = cache(lambda z_mm: pose_at(survey.profiles, z_mm))
+    pose = cache(HeadPath(survey.profiles).at)
     shape = survey.wall.shape_radius_mm()  # where the pipe's wall would be: a rim lies on it
     sizes = {one.id: (one.camera.width, one.camera.height) for one in calibration.cameras}
     radius = survey.wall.mean_radius_mm

@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
@@ -20,6 +20,19 @@ FARTHEST_OF_RADIUS = 2.2  # .. and the greatest
 LIGHT_FRAMES = 8  # how many frames teach the fall-off of the LED light along the pipe
 HIDDEN = 0.85  # of another camera's brightness: a cell seen darker is hidden by what is before it; test_texture
 BLACK = 4.0  # grey levels of a dark pixel; a cell must be brighter than this to have a colour
+NEAREST_MM = 1.0  # ahead of a camera: what is nearer is not before it
+
+_colours_at = door("colours_at", "u1[h,w,3] image", "f8[n,2] pixels", "u1[n,3]! colour", "b1[n]! inside")
+_add_colours = door(
+    "add_colours",
+    "u1[r,a,3] colour",
+    "b1[r,a] inside",
+    "f4[r] gain",
+    "f4[r] near",
+    "f8 black",
+    "f4[r,a,3]! total",
+    "f4[r,a]! weight",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +48,27 @@ class LedFrame:
 @dataclass(frozen=True, slots=True)
 class _Patch:
     first_row: int
-    colour: NDArray[np.float32]  # (rows, A, 3) BGR, NaN where not in the image
+    colour: NDArray[np.uint8]  # (rows, A, 3) BGR
+    inside: BoolArray  # (rows, A) of the image
     ahead: FloatArray  # (rows,) mm
 
 
-def pose_at(profiles: Sequence[Profile], z_mm: float) -> Pose | None:
-    """The pose at a station, between those of the profiles before and after it; None without any pose."""
-    known = sorted(((p.z_mm, p.pose) for p in profiles if p.pose is not None), key=lambda known: known[0])
-    if not known:
-        return None
-    z = [item[0] for item in known]
-    values = [[getattr(pose, name) for _, pose in known] for name in ("rx", "ry", "tx", "ty")]
-    rolls = [pose.roll for _, pose in known if pose.roll is not None]
-    if len(rolls) == len(known):
-        values.append(list(np.unwrap(rolls)))
-    return Pose(*(float(np.interp(z_mm, z, value)) for value in values))
+class HeadPath:
+    """Where the head was, between the poses of profiles."""
+
+    def __init__(self, profiles: Sequence[Profile]) -> None:
+        known = sorted(((p.z_mm, p.pose) for p in profiles if p.pose is not None), key=lambda known: known[0])
+        self._z = np.array([z for z, _ in known])
+        self._values = [np.array([getattr(pose, name) for _, pose in known]) for name in ("rx", "ry", "tx", "ty")]
+        rolls = [pose.roll for _, pose in known if pose.roll is not None]
+        if len(rolls) == len(known):
+            self._values.append(np.unwrap(rolls))
+
+    def at(self, z_mm: float) -> Pose | None:
+        """The pose at a station, between those of the profiles before and after it; None without any pose."""
+        if not len(self._z):
+            return None
+        return Pose(*(float(np.interp(z_mm, self._z, value)) for value in self._values))
 
 
 def paint(
@@ -68,9 +87,9 @@ def paint(
     sums: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}  # by camera: weighted colours, weights
     waiting: dict[int, list[_Patch]] = {}  # by camera: each has its own light
     light: dict[int, FloatArray] = {}
-    points = _surface(wall)
+    points, path = centreline.to_space(_surface(wall).reshape(-1, 3)), HeadPath(profiles)
     for frame in frames:
-        pose = pose_at(profiles, frame.z_mm)
+        pose = path.at(frame.z_mm)
         patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
         if patch is None:
             continue
@@ -134,41 +153,48 @@ def pixels_of(
 ) -> FloatArray:
     """Where points of the wall, (N, 3) mm in the pipe frame, lie in a frame that was taken with this pose at z_mm by
     this camera (its id): (N, 2) pixels, NaN of what is not before it."""
-    seen = pose.to_camera(centreline.to_head(points, z_mm))
+    return pixels_in(centreline.to_space(points), centreline, calibration, pose, z_mm, camera)
+
+
+def pixels_in(
+    points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
+) -> FloatArray:
+    """The same of points in space."""
+    (stands,), (ahead,) = centreline.frames_at(np.array([z_mm]))
+    turn = pose.rotation @ ahead.T
+    shift = pose.translation - turn @ stands
     own = next((one for one in calibration.cameras if one.id == camera), calibration.cameras[0])
     if calibration.others:
-        seen = seen @ np.array(own.rotation).T + own.translation_mm
-    pixels = own.camera.project(seen)
-    pixels[seen[:, 2] < 1.0] = np.nan
-    return pixels
+        turn, shift = np.array(own.rotation) @ turn, np.array(own.rotation) @ shift + own.translation_mm
+    return own.camera.project(points, turn, shift, NEAREST_MM)
 
 
 def _look(
     wall: Wall, points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
 ) -> _Patch | None:
-    """What one frame shows of the grid's cells within reach; None when it shows nothing of it."""
-    radius = wall.mean_radius_mm
+    """What one frame shows of the grid's cells within reach; None when it shows nothing of it. points (Z A, 3) : of the
+    cells, in space."""
+    radius, columns = wall.mean_radius_mm, len(wall.clock_deg)
     reach = (frame.z_mm + NEAREST_OF_RADIUS * radius, frame.z_mm + FARTHEST_OF_RADIUS * radius)
     first, last = np.searchsorted(wall.z_mm, reach)
     if first == last:
         return None
-    part = points[first:last]
-    pixels = pixels_of(part.reshape(-1, 3), centreline, calibration, pose, frame.z_mm, frame.camera)
-    height, width = frame.image_bgr.shape[:2]
-    inside = (pixels[:, 0] >= 1) & (pixels[:, 0] <= width - 2) & (pixels[:, 1] >= 1) & (pixels[:, 1] <= height - 2)
+    part = points[first * columns : last * columns]
+    pixels = pixels_in(part, centreline, calibration, pose, frame.z_mm, frame.camera)
+    colour, inside = np.empty(part.shape, np.uint8), np.empty(len(part), np.bool_)
+    _colours_at(np.ascontiguousarray(frame.image_bgr), pixels, colour, inside)
     if not inside.any():
         return None
-    grid = np.where(inside[:, None], pixels, -1.0).astype(np.float32).reshape(*part.shape[:2], 2)
-    sampled = cv2.remap(frame.image_bgr, grid, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    colour = np.where(inside.reshape(part.shape[:2])[..., None], sampled.astype(np.float32), np.float32(np.nan))
-    return _Patch(int(first), colour, wall.z_mm[first:last] - frame.z_mm)
+    shape = last - first, columns
+    return _Patch(int(first), colour.reshape(*shape, 3), inside.reshape(shape), wall.z_mm[first:last] - frame.z_mm)
 
 
 def _light(patches: Sequence[_Patch], wall: Wall) -> FloatArray:
     """(B,) median brightness per grid step of distance ahead, from 0 to the farthest; NaN where nothing was seen."""
     bins: dict[int, list[float]] = {}
     for patch in patches:
-        brightness = np.nanmax(np.nan_to_num(patch.colour, nan=-1.0), axis=2)
+        b, g, r = np.moveaxis(patch.colour, 2, 0)
+        brightness = np.where(patch.inside, np.maximum(np.maximum(b, g), r), 0)
         for distance, line in zip(patch.ahead, brightness, strict=True):
             seen = line[line > BLACK]
             if len(seen):
@@ -182,10 +208,6 @@ def _light(patches: Sequence[_Patch], wall: Wall) -> FloatArray:
 def _add(total: NDArray[np.float32], weight: NDArray[np.float32], patch: _Patch, light: FloatArray, wall: Wall) -> None:
     gain = light[np.clip(np.rint(patch.ahead / wall.z_step_mm).astype(int), 0, len(light) - 1)]
     near = (wall.mean_radius_mm / patch.ahead) ** 4
-    brightness = np.nanmax(np.nan_to_num(patch.colour, nan=-1.0), axis=2)
-    ok = (brightness > BLACK) & np.isfinite(gain)[:, None]
-    w = np.where(ok, near[:, None], 0.0).astype(np.float32)
-    scaled = np.nan_to_num(patch.colour / gain[:, None, None].astype(np.float32), nan=0.0)
     rows = slice(patch.first_row, patch.first_row + len(patch.ahead))
-    total[rows] += scaled * w[..., None]
-    weight[rows] += w
+    light_of = gain.astype(np.float32), near.astype(np.float32)
+    _add_colours(patch.colour, patch.inside, *light_of, BLACK, total[rows], weight[rows])

@@ -16,7 +16,7 @@ from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.registration import register
-from annulus_pipe.wall.texture import pose_at
+from annulus_pipe.wall.texture import HeadPath
 
 
 def test_a_head_turned_clockwise_sees_three_o_clock_where_its_own_up_is():
@@ -76,9 +76,9 @@ def test_registration_moves_a_rolled_head_the_right_way(profiles):
 def test_roll_travels_with_the_profile_and_the_texture(profiles):
     again = Profile.from_dict(profiles[2].to_dict())
     assert again.pose == profiles[2].pose and again.lean_sigma_deg == profiles[2].lean_sigma_deg
-    between = pose_at(profiles, 5.0).roll
+    between = HeadPath(profiles).at(5.0).roll
     assert profiles[0].pose.roll < between < profiles[1].pose.roll
-    assert pose_at([replace(p, pose=replace(p.pose, roll=None)) for p in profiles], 5.0).roll is None
+    assert HeadPath([replace(p, pose=replace(p.pose, roll=None)) for p in profiles]).at(5.0).roll is None
 
 
 def test_a_scan_folder_may_carry_the_roll(tmp_path):
