@@ -6,13 +6,15 @@ nobody saw is NaN, for ever: the only cells filled in lie between two measured o
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.late import ndimage
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.centreline import Centreline
@@ -23,12 +25,15 @@ from annulus_pipe.wall.shape import fit_shape, harmonics, spread
 
 # ANGLE_STEP_DEG is guarded by test_grid.py; all together by the benchmark topics diameter, artefacts and mirror, which
 # measure whole walls.
-ANGLE_STEP_DEG = 1.0  # a column
+ANGLE_STEP_DEG = 1.0  # a column ..
+COLUMNS = round(360.0 / ANGLE_STEP_DEG)  # .. round the clock, and where they lie:
+CLOCK_DEG = np.asarray((np.arange(COLUMNS) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)  # what a row may be, the first that is dense enough
 POINTS_A_CELL = 1.5  # points wanted on average: fewer leave holes by chance, more waste resolution
 ROWS_MAX = 40_000  # rows of one grid, 40 000 x 360 cells: bounds memory where points lie far apart
 BRIDGE_OF_RADIUS = 0.08  # of the radius: longest sampling gap interpolated over (6 mm in a 6-inch pipe)
 STATION_SEEN = 0.5  # part of the circle seen where the scan starts and ends: tilted rings leave ragged ends
+AROUND_CELLS = 2.5  # columns: the widest gap round the clock interpolated over, one cell
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # standard deviation of a cell; no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
@@ -37,6 +42,23 @@ OBSERVATION_SMOOTHED = 0.7  # part of a ring's noise that smoothing over three d
 # Of what a point may be off, what all points of one side, rim or crest have in common: no mean of theirs is surer.
 # Blind bench, the kept results of seed 1: k = 2 of hi-lo and openings held for 29 of 38, with it for 34.
 ALIKE = 0.5
+HALF_SLACK = 1e-9  # of a cell's weight: sums round, and half of it is reached by either of two
+LANES = 16  # columns beyond the grid's, that a loop may work on
+
+_cell_medians = door(
+    "cell_medians",
+    "i8[n] cell",
+    "f8[n] values",
+    "f8[n]? weights",
+    "f8 slack",
+    "i8[c]! ends",
+    "f8[2,n]! laid",
+    "f8[c]! medians",
+    "i4[c]! count",
+)
+_smoothed = door("smoothed", "f4[z,a] field", "i8 rows", "f4[9,b]! line", "f4[z,a]! out")
+_neighbour_extremes = door("neighbour_extremes", "f8[z,a] grid", "f8[z,a]! low", "f8[z,a]! high")
+_bridged = door("bridged", "f8[z,a] grid", "f8 cells", "f8 fall", "f8 rise", "b1 along_rows", "f8[z,a]! out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +194,87 @@ class Wall:
         return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
 
 
+@dataclass(frozen=True, slots=True)
+class _Gridded:
+    """Points in cells. used : the profiles they are of; counted (M,) which of all their points lie on the grid, cell
+    and radius_mm (N,) of those, and keep (N,), which have a say; likely (N,), which had one before gaps were closed.
+    first : number of the first row, of `step` mm each. grid, count (Z, A) : of what has a say, bridged."""
+
+    used: list[Profile]
+    counted: BoolArray
+    cell: NDArray[np.int64]
+    radius_mm: FloatArray
+    keep: BoolArray
+    likely: BoolArray
+    first: int
+    step: float
+    sampling: float  # rows
+    grid: FloatArray
+    count: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, profiles: Sequence[Profile], z_step_mm: float | None, rise: float | None) -> "_Gridded":
+        used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
+        if not used:
+            raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
+        points = np.concatenate([p.points_mm for p in used])
+        counted = np.isfinite(points).all(axis=1)
+        x, y, z = (points[counted, axis].astype(np.float64) for axis in range(3))
+        radius = np.hypot(x, y)
+        clock = np.degrees(np.arctan2(x, -y)) % 360.0
+        del points, x, y  # on a window of two million points each array is what a worker has no room for
+        low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+        step = z_step_mm or z_step_of(len(z), float(high - low), ROWS_MAX)
+        first = int(np.floor(low / step))
+        rows = int(np.floor(high / step)) - first + 1
+        row = np.floor(z / step).astype(np.int64) - first
+        del z
+        inside = (row >= 0) & (row < rows)
+        radius, row = radius[inside], row[inside]
+        cell = row * COLUMNS + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), COLUMNS - 1)
+        counted[counted] = inside
+        grid, count = cell_medians(cell, radius, (rows, COLUMNS))
+        keep = _supported(grid, cell, radius)
+        grid, count = cell_medians(cell[keep], radius[keep], (rows, COLUMNS))
+        if rise is not None:
+            keep &= ~between_levels(grid, step, rise).ravel()[cell]
+            grid, count = cell_medians(cell[keep], radius[keep], (rows, COLUMNS))
+        sampling = _sampling_gap(used, step, float(np.median(radius))) / step
+        grid, likely = _bridge(grid, sampling), keep
+        if rise is not None:  # once more: with its gaps closed a false floor shows its edges
+            false = between_levels(grid, step, rise)
+            grid[false], count[false] = np.nan, 0
+            keep, likely = keep & ~false.ravel()[cell], keep
+        return cls(used, counted, cell, radius, keep, likely, first, step, sampling, grid, count)
+
+    def ends(self) -> tuple[int, int]:
+        """The first and behind the last row that is a station. AnnulusError where there is none."""
+        seen = np.isfinite(self.grid).mean(axis=1)
+        stations = np.flatnonzero(seen >= STATION_SEEN)
+        if not len(stations):
+            raise AnnulusError(
+                f"no wall: {np.count_nonzero(self.counted)} points are too few to make one station of the pipe; of "
+                f"none more than {360.0 * float(seen.max()):.0f} of 360 degrees was seen, expected "
+                f"{360 * STATION_SEEN:.0f}"
+            )
+        return int(stations[0]), int(stations[-1]) + 1
+
+    def z_mm(self, ends: tuple[int, int]) -> FloatArray:
+        return np.asarray((np.arange(self.first + ends[0], self.first + ends[1]) + 0.5) * self.step, dtype=np.float64)
+
+    def of_points(self, name: str) -> NDArray[Any]:
+        """(N,) of the points on the grid."""
+        return np.concatenate([getattr(p, name) for p in self.used])[self.counted]
+
+
+def pipe_shape(profiles: Sequence[Profile], z_step_mm: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """(Z,) mm and (Z, 5) of the wall that `build_wall` makes of one straight pipe: its rows, and its shape."""
+    of = _Gridded.of(profiles, z_step_mm, None)
+    ends = of.ends()
+    z_mm = of.z_mm(ends)
+    return z_mm, fit_shape(of.grid[slice(*ends)], z_mm, CLOCK_DEG)[0]
+
+
 def build_wall(
     profiles: Sequence[Profile],
     *,
@@ -199,98 +302,44 @@ def build_wall(
     neither centre nor ovality; its mean radius is a median over two diameters, so that a groove around the whole
     pipe stands out against its neighbourhood instead of becoming the pipe.
     """
-    used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
-    if not used:
-        raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
-    points = np.concatenate([p.points_mm for p in used])
-    finite = np.isfinite(points).all(axis=1)
-    x, y, z = (points[finite, axis].astype(np.float64) for axis in range(3))
-    points_given = len(z)
-    radius = np.hypot(x, y)
-    clock = np.degrees(np.arctan2(x, -y)) % 360.0
-    del points, x, y  # on a window of two million points each array is what a worker has no room for
-    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
-    span = float(high - low)
-    step = z_step_mm or z_step_of(len(z), span, ROWS_MAX)
-    columns = round(360.0 / ANGLE_STEP_DEG)
-    first = int(np.floor(low / step))
-    rows = int(np.floor(high / step)) - first + 1
-    row = np.floor(z / step).astype(np.int64) - first
-    del z
-    inside = (row >= 0) & (row < rows)
-    radius, row = radius[inside], row[inside]
-    cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
-    place = np.repeat(places_of(used, float(np.median(radius))), [len(p.points_mm) for p in used])
+    of = _Gridded.of(profiles, z_step_mm, rise)
+    used, cell, radius, keep = of.used, of.cell, of.radius_mm, of.keep
+    place = np.repeat(places_of(used, float(np.median(radius))), [len(p.points_mm) for p in used])[of.counted]
     rings = 1 + max(int(p.ring.max()) for p in used)
-    number = (place * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
-
-    grid, count = cell_medians(cell, radius, (rows, columns))
-    keep = _supported(grid, cell, radius)
-    grid, count = cell_medians(cell[keep], radius[keep], (rows, columns))
-    if rise is not None:
-        keep &= ~between_levels(grid, step, rise).ravel()[cell]
-        grid, count = cell_medians(cell[keep], radius[keep], (rows, columns))
-    sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
-    seen_by = np.concatenate([p.seen_by for p in used])[finite][inside]
-    stated = keep & np.isfinite(sigma)
-    errors, _ = cell_medians(cell[stated], sigma[stated], (rows, columns))
-    clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
-
-    grid = _bridge(grid.T, 2.5, wrap=True).T
-    sampling = _sampling_gap(used, step, float(np.median(radius))) / step
-    grid = _bridge(grid, sampling, wrap=False)
-    if rise is not None:  # once more: with its gaps closed a false floor shows its edges
-        false = between_levels(grid, step, rise)
-        grid[false], count[false] = np.nan, 0
-        keep &= ~false.ravel()[cell]
-    errors = _bridge(_bridge(errors.T, 2.5, wrap=True).T, sampling, wrap=False)
-    ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
-    if not len(ends):
-        most = 360.0 * float(np.isfinite(grid).mean(axis=1).max())
-        raise AnnulusError(
-            f"no wall: {points_given} points are too few to make one station of the pipe; of none more than {most:.0f} "
-            f"of 360 degrees was seen, expected {360 * STATION_SEEN:.0f}"
-        )
-    grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
-    stated_sigma = np.where(np.isfinite(grid), errors[ends[0] : ends[-1] + 1], np.nan).astype(np.float32)
-    z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
+    number = (place * rings + of.of_points("ring")).astype(np.int32)
+    sigma, seen_by = of.of_points("sigma_mm").astype(np.float64), of.of_points("seen_by")
+    stated = of.likely & np.isfinite(sigma)
+    errors = _bridge(cell_medians(cell[stated], sigma[stated], of.grid.shape)[0], of.sampling)
+    ends = of.ends()
+    grid, count = of.grid[slice(*ends)], of.count[slice(*ends)]
+    stated_sigma = np.where(np.isfinite(grid), errors[slice(*ends)], np.nan).astype(np.float32)
+    z_rows = of.z_mm(ends)
     course = np.zeros(len(z_rows))
     if centreline is not None and not centreline.is_even:
         course = centreline.radius_at(z_rows) - centreline.pieces[0].radius_mm
-    shape, covariance = fit_shape(grid - course[:, None], z_rows, clock_columns)
+    shape, covariance = fit_shape(grid - course[:, None], z_rows, CLOCK_DEG)
     shape[:, 0] += course
-    cell = cell - ends[0] * columns
-    keep &= (cell >= 0) & (cell < grid.size)
+    cell = cell - ends[0] * COLUMNS
+    keep = keep & (cell >= 0) & (cell < grid.size)
     observations = WallObservations(
         cell[keep], number[keep], radius[keep].astype(np.float32), sigma[keep].astype(np.float32), seen_by[keep]
     )
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)
     still = np.zeros(len(z_rows))
-    bare = Wall(z_rows, clock_columns, measured, count, shape, covariance, still, unknown, observations, stated_sigma)
+    bare = Wall(z_rows, CLOCK_DEG, measured, count, shape, covariance, still, unknown, observations, stated_sigma)
     noise = _noise(bare)
-    cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
-    return Wall(
-        z_rows, clock_columns, measured, count, shape, covariance, noise, cell_noise, observations, stated_sigma
-    )
+    cell_noise = np.maximum(_cell_noise(bare, rings, int(of.sampling) + 1), noise[:, None]).astype(np.float32)
+    return replace(bare, noise_mm=noise, cell_noise_mm=cell_noise)
 
 
 def smooth(field: Float32Array, rows: int = 3) -> Float32Array:
     """Median over each cell's `rows` (3 or 1) x 3 seen neighbours (itself included), NaN where the cell itself was not
     seen."""
-    ends = ((rows // 2, rows // 2), (0, 0))
-    padded = np.pad(np.pad(field, ends, constant_values=np.nan), ((0, 0), (1, 1)), mode="wrap")
-    z, a = field.shape
-    out = np.full_like(field, np.nan)
-    for start in range(0, z, 4096):  # blocks bound the nine-fold copy on long scans
-        stop = min(start + 4096, z)
-        stack = np.stack([padded[start + i : stop + i, j : j + a] for i in range(rows) for j in range(3)])
-        stack.sort(axis=0)  # NaN last
-        n = np.isfinite(stack).sum(axis=0)
-        low = np.take_along_axis(stack, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
-        high = np.take_along_axis(stack, (n // 2)[None], axis=0)[0]  # the same one when n is odd; NaN when n is 0
-        out[start:stop] = 0.5 * (low + high)
-    return np.where(np.isfinite(field), out, np.float32(np.nan))
+    out = np.empty(field.shape, np.float32)
+    width = field.shape[1] + LANES
+    _smoothed(np.ascontiguousarray(field, np.float32), rows, np.full((9, width), np.inf, np.float32), out)
+    return out
 
 
 def z_step_of(points: int, span_mm: float, rows_max: float = math.inf) -> float:
@@ -314,44 +363,16 @@ def cell_medians(
 
     weight : of each; 1 / sigma leaves a median the least variance: it is a value's density at its own middle.
     """
-    order = _by_cell_and_value(cell, value)
-    value = value[order]
-    count = np.bincount(cell, minlength=shape[0] * shape[1])
-    full = np.flatnonzero(count)
-    end = np.cumsum(count)[full]
-    start = end - count[full]
-    if weight is None:
-        low, high = start + (count[full] - 1) // 2, start + count[full] // 2
-    else:
-        sums = np.concatenate([[0.0], np.cumsum(weight[order])])
-        half, slack = 0.5 * (sums[start] + sums[end]), 1e-9 * (sums[end] - sums[start])
-        low = np.clip(np.searchsorted(sums, half - slack) - 1, start, end - 1)
-        high = np.clip(np.searchsorted(sums, half + slack) - 1, start, end - 1)
-    out = np.full(count.shape, np.nan)
-    out[full] = 0.5 * (value[low] + value[high])
-    return out.reshape(shape), count.astype(np.int32).reshape(shape)
-
-
-def _by_cell_and_value(cell: NDArray[np.int64], value: FloatArray) -> NDArray[np.int64]:
-    """What `np.lexsort((value, cell))` gives, but for equal values; in a fifth of its time, 90 ms for two million.
-
-    The rank of a value and its cell make one whole number, below 2^63 as long as cells times values are.
-    """
-    by_value = np.argsort(value)
-    key = cell[by_value] * len(value) + np.arange(len(value))
-    key.sort()
-    order: NDArray[np.int64] = by_value[key % max(len(value), 1)]
-    return order
+    medians, count = np.empty(shape), np.empty(shape, np.int32)
+    room = np.empty(medians.size, np.int64), np.empty((2, len(cell)))
+    _cell_medians(cell, np.ascontiguousarray(value), weight, HALF_SLACK, *room, medians.ravel(), count.ravel())
+    return medians, count
 
 
 def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:
     """Which points lie in the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
-    ring = np.ones((3, 5), dtype=bool)
-    ring[1, 2] = False
-    wide = np.pad(grid, ((0, 0), (2, 2)), mode="wrap")
-    missing = ~np.isfinite(wide)
-    low = ndimage.minimum_filter(np.where(missing, np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
-    high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
+    low, high = np.empty_like(grid), np.empty_like(grid)
+    _neighbour_extremes(grid, low, high)
     step = np.diff(grid, axis=1)
     steps = np.abs(step[np.isfinite(step)])
     slack = max(0.3, 6 * SIGMA_OF_MAD * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
@@ -360,24 +381,14 @@ def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) ->
     return np.asarray(~alone & (radius >= low - slack) & (radius <= high + slack))
 
 
-def _bridge(grid: FloatArray, cells: float, *, wrap: bool) -> FloatArray:
-    """Linear interpolation down the columns over gaps of at most `cells` rows with a small step across them."""
-    reach = int(cells) + 1
-    work = np.concatenate([grid[-reach:], grid, grid[:reach]]) if wrap else grid
-    n = len(work)
-    index = np.arange(n)[:, None]
-    ok = np.isfinite(work)
-    before = np.maximum.accumulate(np.where(ok, index, -1), axis=0)
-    after = np.minimum.accumulate(np.where(ok, index, n)[::-1], axis=0)[::-1]
-    gap = after - before
-    near = ~ok & (before >= 0) & (after < n) & (gap <= cells)
-    r0 = np.take_along_axis(work, before.clip(0, n - 1), axis=0)
-    r1 = np.take_along_axis(work, after.clip(0, n - 1), axis=0)
-    rise = np.where(near, r1 - r0, np.inf)
-    near &= (rise >= -BRIDGE_STEP_MM) & (rise <= (BRIDGE_STEP_MM if wrap else STEP_MM))  # light comes along the pipe
-    weight = (index - before) / np.maximum(gap, 1)
-    out = np.where(near, r0 + weight * (r1 - r0), work)
-    return out[reach:-reach] if wrap else out
+def _bridge(grid: FloatArray, sampling: float) -> FloatArray:
+    """Linear interpolation over gaps round the clock, then down the columns over `sampling` rows at most, with a small
+    step across them."""
+    around, out = grid.copy(), grid.copy()
+    _bridged(grid, AROUND_CELLS, -BRIDGE_STEP_MM, BRIDGE_STEP_MM, True, around)
+    out[:] = around
+    _bridged(around, sampling, -BRIDGE_STEP_MM, STEP_MM, False, out)  # light comes along the pipe
+    return out
 
 
 def _noise(wall: Wall) -> FloatArray:

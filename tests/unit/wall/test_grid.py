@@ -9,7 +9,7 @@ from annulus_pipe.wall.defects import Defect, Detection, Kind, clock_face, find_
 from annulus_pipe.wall.grid import Wall, build_wall
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.stations import f1216, measure_stations
-from annulus_pipe.wall.texture import LedFrame, paint, pose_at
+from annulus_pipe.wall.texture import HeadPath, LedFrame, paint
 
 
 def defects_of(wall: Wall) -> tuple[Defect, ...]:
@@ -183,9 +183,9 @@ def test_labels_point_at_the_defects_they_number() -> None:
 def test_led_pose_lies_between_its_neighbours() -> None:
     profiles = scan(round_pipe, z_mm=[0.0, 10.0])
     moved = [Profile(p.frame, p.z_mm, Pose(tx=p.z_mm), p.points_mm, p.colour, p.ring, p.direction) for p in profiles]
-    middle = pose_at(moved, 4.0)
+    middle = HeadPath(moved).at(4.0)
     assert middle is not None and middle.tx == pytest.approx(4.0)
-    assert pose_at([], 4.0) is None
+    assert HeadPath([]).at(4.0) is None
 
 
 def test_texture_shows_a_stain_where_it_is(sound: Wall) -> None:

@@ -1,0 +1,252 @@
+// The wall's grid: what points say of their cells, what neighbours say of a cell, and gaps no wider than the sampling.
+//
+// Points are put side by side cell by cell (counted, summed, laid), and the few of each cell are sorted where they lie.
+
+#include <math.h>
+#include <string.h>
+
+#include "native.h"
+#include "selection.h"
+
+enum { FEW = 24, LANES = 16 };
+
+// Sorts a few values, and what comes with them where it is not null.
+static void sort_few(double* const values, double* const with, const int64_t size)
+{
+    for (int64_t i = 1; i < size; i++) {
+        const double value = values[i], own = with ? with[i] : 0.0;
+        int64_t place = i;
+        while (place > 0 && values[place - 1] > value) {
+            values[place] = values[place - 1];
+            if (with) {
+                with[place] = with[place - 1];
+            }
+            place--;
+        }
+        values[place] = value;
+        if (with) {
+            with[place] = own;
+        }
+    }
+}
+
+// Sorts many: a heap is built and taken off from its top.
+static void sort_many(double* const values, double* const with, const int64_t size)
+{
+    for (int64_t built = size / 2, end = size; end > 1;) {
+        int64_t at;
+        if (built > 0) {
+            at = --built;
+        } else {
+            end--;
+            const double value = values[0], own = with[0];
+            values[0] = values[end];
+            with[0] = with[end];
+            values[end] = value;
+            with[end] = own;
+            at = 0;
+        }
+        for (int64_t child = 2 * at + 1; child < end; child = 2 * at + 1) {
+            child += child + 1 < end && values[child + 1] > values[child];
+            if (!(values[child] > values[at])) {
+                break;
+            }
+            const double value = values[at], own = with[at];
+            values[at] = values[child];
+            with[at] = with[child];
+            values[child] = value;
+            with[child] = own;
+            at = child;
+        }
+    }
+}
+
+// Median of values that weigh differently: the mean of the two in which just less and just more than half of the weight
+// is reached, give or take `slack` of all of it, for sums round.
+static double weighed_median(double* const values, double* const weights, const int64_t size, const double slack)
+{
+    if (size <= FEW) {
+        sort_few(values, weights, size);
+    } else {
+        sort_many(values, weights, size);
+    }
+    double all = 0.0;
+    for (int64_t i = 0; i < size; i++) {
+        all += weights[i];
+    }
+    const double less = (0.5 - slack) * all, more = (0.5 + slack) * all;
+    double sum = 0.0, low = values[size - 1], high = values[size - 1];
+    bool found = false;
+    for (int64_t i = 0; i < size; i++) {
+        sum += weights[i];
+        if (!found && sum >= less) {
+            low = values[i];
+            found = true;
+        }
+        if (sum >= more) {
+            high = values[i];
+            break;
+        }
+    }
+    return 0.5 * (low + high);
+}
+
+// Median of each cell's values, NaN of none, and how many they are. cell (n,) in 0 .. c - 1, values (n,), weights (n,)
+// or none; ends (c,), laid (2, n): room.
+DOOR void cell_medians(const int64_t* const cell, const double* const values, const double* const weights,
+                       const double slack, int64_t* const ends, double* const laid, double* const medians,
+                       int32_t* const count, const int64_t n, const int64_t c)
+{
+    if (c < 1) {
+        return;
+    }
+    memset(ends, 0, (size_t)c * sizeof *ends);
+    for (int64_t i = 0; i < n; i++) {
+        ends[most(0, least(cell[i], c - 1))]++;
+    }
+    int64_t begin = 0;
+    for (int64_t i = 0; i < c; i++) {  // where each cell begins; as points are laid it moves on to where it ends
+        const int64_t size = ends[i];
+        count[i] = (int32_t)least(size, INT32_MAX);
+        ends[i] = begin;
+        begin += size;
+    }
+    double *const side = laid, *const with = laid + n;
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t at = ends[most(0, least(cell[i], c - 1))]++;
+        side[at] = values[i];
+        if (weights) {
+            with[at] = weights[i];
+        }
+    }
+    begin = 0;
+    for (int64_t i = 0; i < c; i++) {
+        double* const own = side + begin;
+        const int64_t size = ends[i] - begin;
+        if (size < 1) {
+            medians[i] = (double)NAN;
+        } else if (weights) {
+            medians[i] = weighed_median(own, with + begin, size, slack);
+        } else if (size <= FEW) {
+            sort_few(own, 0, size);
+            medians[i] = 0.5 * (own[(size - 1) / 2] + own[size / 2]);
+        } else {
+            medians[i] = halfway(own, size);
+        }
+        begin = ends[i];
+    }
+}
+
+#define SWAP(a, b)                                                                                                     \
+    for (int64_t i = 0; i < LANES; i++) {                                                                              \
+        const float low = side[a][i] < side[b][i] ? side[a][i] : side[b][i];                                           \
+        const float high = side[a][i] < side[b][i] ? side[b][i] : side[a][i];                                          \
+        side[a][i] = low;                                                                                              \
+        side[b][i] = high;                                                                                             \
+    }
+
+// Nine by nine lanes put in order: a network of 25 exchanges (Floyd).
+static void sort_nine(float side[9][LANES]){
+    SWAP(0, 1) SWAP(3, 4) SWAP(6, 7) SWAP(1, 2) SWAP(4, 5) SWAP(7, 8) SWAP(0, 1) SWAP(3, 4) SWAP(6, 7) SWAP(0, 3)
+        SWAP(3, 6) SWAP(0, 3) SWAP(1, 4) SWAP(4, 7) SWAP(1, 4) SWAP(2, 5) SWAP(5, 8) SWAP(2, 5) SWAP(1, 3) SWAP(5, 7)
+            SWAP(2, 6) SWAP(4, 6) SWAP(2, 4) SWAP(2, 3) SWAP(5, 6)}
+
+// Median over the seen neighbours of each cell that was seen, of `rows` (1 or 3) by 3, itself included; NaN of the
+// others. Columns close round the pipe. field (z, a); line (9, b), b = a + 2 and more: room.
+DOOR void smoothed(const float* const field, const int64_t rows, float* const line, float* const out, const int64_t z,
+                   const int64_t a, const int64_t b)
+{
+    if (a < 1 || b < a + LANES) {
+        return;
+    }
+    const int64_t reach = rows > 1 ? 1 : 0;
+    for (int64_t row = 0; row < z; row++) {
+        for (int64_t step = -1; step <= 1;
+             step++) {  // each neighbour's row, seen or infinite, with its closing columns
+            for (int64_t way = -1; way <= 1; way++) {
+                float* const of = line + ((step + 1) * 3 + way + 1) * b;
+                const bool there = step >= -reach && step <= reach && row + step >= 0 && row + step < z;
+                const float* const from = field + (row + (there ? step : 0)) * a;
+                for (int64_t j = 0; j < a; j++) {
+                    const float value = from[around(j + way, a)];
+                    of[j] = there && isfinite(value) ? value : INFINITY;
+                }
+            }
+        }
+        for (int64_t begin = 0; begin < a; begin += LANES) {
+            float side[9][LANES];
+            int32_t seen[LANES] = {0};
+            for (int64_t k = 0; k < 9; k++) {
+                for (int64_t i = 0; i < LANES; i++) {
+                    side[k][i] = line[k * b + begin + i];
+                    seen[i] += side[k][i] < INFINITY ? 1 : 0;
+                }
+            }
+            sort_nine(side);
+            for (int64_t i = 0; i < LANES && begin + i < a; i++) {
+                const int32_t n = seen[i];
+                const bool own = isfinite(field[row * a + begin + i]);
+                out[row * a + begin + i] = own ? 0.5F * (side[(n - 1) / 2][i] + side[n / 2][i]) : (float)NAN;
+            }
+        }
+    }
+}
+
+// Least and greatest of the seen cells about each, two columns each way and a row; infinite where there is none.
+DOOR void neighbour_extremes(const double* const grid, double* const low, double* const high, const int64_t z,
+                             const int64_t a)
+{
+    for (int64_t row = 0; row < z; row++) {
+        for (int64_t j = 0; j < a; j++) {
+            double lowest = (double)INFINITY, highest = -(double)INFINITY;
+            for (int64_t r = most(row - 1, 0); r < least(row + 2, z); r++) {
+                for (int64_t step = -2; step <= 2; step++) {
+                    const double value = grid[r * a + around(j + step, a)];
+                    const bool counts = isfinite(value) && (r != row || step != 0);
+                    lowest = counts && value < lowest ? value : lowest;
+                    highest = counts && value > highest ? value : highest;
+                }
+            }
+            low[row * a + j] = lowest;
+            high[row * a + j] = highest;
+        }
+    }
+}
+
+// A gap of at most `cells` steps between two seen values a step from `fall` to `rise` apart, filled on the line through
+// both. Of a line of `size` values `stride` apart; one that closes is gone round until its first value comes again.
+INLINE void bridge(const double* const from, double* const to, const int64_t size, const int64_t stride,
+                   const double cells, const double fall, const double rise, const bool closes)
+{
+    int64_t last = -1;  // the latest that was seen, -1 of none
+    for (int64_t i = 0; i < (closes ? 2 * size : size); i++) {
+        const int64_t own = i < size ? i : i - size;
+        if (!isfinite(from[own * stride])) {
+            continue;
+        }
+        const int64_t gap = i - last;
+        if (last >= 0 && gap > 1 && (double)gap <= cells) {
+            const double before = from[(last < size ? last : last - size) * stride], step = from[own * stride] - before;
+            if (step >= fall && step <= rise) {
+                for (int64_t k = 1; k < gap; k++) {
+                    const int64_t at = last + k < size ? last + k : last + k - size;
+                    to[at * stride] = before + (double)k / (double)gap * step;
+                }
+            }
+        }
+        last = i;
+        if (i >= size) {
+            break;  // where the line closes
+        }
+    }
+}
+
+// Gaps of a grid (z, a) filled down its columns, or along its rows, which close; out begins as a copy of it.
+DOOR void bridged(const double* const grid, const double cells, const double fall, const double rise,
+                  const bool along_rows, double* const out, const int64_t z, const int64_t a)
+{
+    for (int64_t i = 0; i < (along_rows ? z : a); i++) {
+        const int64_t first = along_rows ? i * a : i;
+        bridge(grid + first, out + first, along_rows ? a : z, along_rows ? 1 : a, cells, fall, rise, along_rows);
+    }
+}
