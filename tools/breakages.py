@@ -25,7 +25,7 @@ from pathlib import Path
 from tools.faults import Breakage, drawn
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ROOT / "build/breakages"  # machine code: numba knows it by the copy's path, which is therefore always the same
+KEPT = ROOT / "build/breakages"
 GATE = ["tests/unit", "tests/regression", "tests/scenes", "tests/system", "tests/hil"]
 HOUSE = "tests/unit/test_house.py"  # judges texts, and a run of some tests as if it were one of all: a false catch
 UNTRACKED = (
@@ -74,7 +74,7 @@ def copied(other: Path) -> Path:
 
 
 def env_of(other: Path) -> dict[str, str]:
-    ours = {"PYTHONPATH": f"{other / 'host'}", "NUMBA_CACHE_DIR": f"{KEPT / 'numba'}"}
+    ours = {"PYTHONPATH": f"{other / 'host'}"}
     return {**os.environ, **ours, "PYTHONDONTWRITEBYTECODE": "1"}  # none is stale
 
 

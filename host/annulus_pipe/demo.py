@@ -25,20 +25,11 @@ from annulus_pipe.daemon.run import ending
 from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
-from annulus_pipe.numeric.telling import telling
 from annulus_pipe.report import FILES, ScanAccount, prepare_folder, write
-from annulus_pipe.reprocess import (
-    Job,
-    LedFrames,
-    Processes,
-    measure,
-    method_for,
-    open_job,
-    photographs,
-    stage_medians,
-    warm_up,
-)
+from annulus_pipe.reprocess import Job, LedFrames, Processes, measure, method_for, open_job, photographs, stage_medians
+from annulus_pipe.reprocess.drawn import drawn_frame
 from annulus_pipe.scans.origin import origin_of
+from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.stereo import CAMERA_MISSING
 from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
@@ -121,7 +112,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
     begun = time.monotonic()
     prepare_folder(out)
     with interrupt.allowed():
-        with telling(bars.say), bars.spinning("measuring this machine"):
+        with bars.spinning("measuring this machine"):
             pace = measure_pace(world)
         console.print(pace.why)
     seconds = wish_s or min(max(SECONDS, world.travel_mm / (MM_PER_FRAME * pace.fps)), SECONDS_MAX)
@@ -164,8 +155,9 @@ def measure_pace(world: World) -> FrameRate:
     render_fps = sustainable_fps(world)
     calibration = world.calibration()
     method = method_for(calibration)
-    spent = [warm_up(method, calibration).timing_ms["total"] for _ in range(6)]
-    reconstruct_ms = median(spent[1:])  # the first one may compile
+    pictures = {one.id: drawn_frame(calibration, one) for one in calibration.cameras}
+    drawn = ScanFrame(0, Label.PROJECTOR, 0.0, "drawn frame")
+    reconstruct_ms = median(method(drawn, pictures, None).timing_ms["total"] for _ in range(6))
     render_ms = min(2, cores) * 1e3 / render_fps  # of one core
     together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS * len(world.cameras))
     workers = SHARE * default_workers() * 1e3 / (0.8 * reconstruct_ms)

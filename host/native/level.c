@@ -1,4 +1,5 @@
-// Which of the libraries this processor can run: the one for any processor is asked.
+// Which of the libraries this processor can run, of which the one for any processor is asked; and what they were built
+// from.
 
 #include "native.h"
 
@@ -10,4 +11,9 @@ DOOR int64_t processor_level(void)
 #else
     return 0;
 #endif
+}
+
+DOOR const char* library_sources(void)
+{
+    return SOURCES;
 }

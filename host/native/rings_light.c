@@ -66,7 +66,7 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
     for (int64_t s = 0; s < slits; s++) {
         const int64_t line = bounded(direction[s], 0, frame->lines - 1);
         const int64_t* const known = places[s & (AHEAD - 1)];
-        float dark[3] = {0.0f, 0.0f, 0.0f};
+        double dark[3] = {0.0, 0.0, 0.0};
         double strongest[2] = {0.0, 0.0};
         int64_t k = 0;
         for (int part = 0; part < 3; part++) {
@@ -80,14 +80,13 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
                 sum[1] += own.green;
                 sum[2] += own.red;
             }
-            const float scale = (float)(1.0 / (double)((b - a) / 2 + 1));
+            const double scale = (double)(float)(1.0 / (double)((b - a) / 2 + 1));
             for (int channel = 0; channel < 3; channel++) {
-                const float mean = (float)sum[channel] * scale;
+                const double mean = (double)sum[channel] * scale;
                 if (part == 0) {
                     dark[channel] = mean;
                 } else {
-                    const float left = mean - dark[channel];
-                    const double lit = (double)(left > 0.0f ? left : 0.0f);
+                    const double lit = mean > dark[channel] ? mean - dark[channel] : 0.0;
                     light[(3 * (part - 1) + channel) * n + s] = lit;
                     strongest[part - 1] = lit > strongest[part - 1] ? lit : strongest[part - 1];
                 }

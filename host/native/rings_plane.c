@@ -11,6 +11,7 @@ typedef uint8_t bytes_t __attribute__((vector_size(16), aligned(1), may_alias));
 
 #define PROBE_LEVELS 256
 #define AHEAD 64      // bytes of a cache line
+#define CELLS 64      // of a mosaic that are worked on side by side; even
 #define ROWS_AHEAD 2  // that are fetched while one is worked on
 
 // The level below or at which that part of what was counted lies.
@@ -129,22 +130,35 @@ static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
     }
 }
 
-// The same of cells (x0 .. x0 + size) of a row of a mosaic, none of them at its margin. Of a green cell the others are
-// the means of two neighbours, of a red or blue one those of four. green: the first one is.
-static void greatest_of_cells(const uint8_t* const at, const int64_t w, const bool green, uint8_t* const restrict out,
-                              const int64_t size)
+// The same of `size` cells of a row of a mosaic, none of them at its margin. Of a green cell the others are the means
+// of two neighbours, of a red or blue one those of four. chosen: 255 where a cell is green, else 0.
+INLINE void greatest_of_run(const uint8_t* const at, const int64_t w, const uint8_t* const chosen, uint8_t* const out,
+                            const int64_t size)
 {
-    const uint8_t odd = green ? 0 : 255, even = green ? 255 : 0;
     for (int64_t k = 0; k < size; k++) {
         const uint8_t a = at[k - 1], b = at[k + 1], c = at[k - w], d = at[k + w], own = at[k];
         const uint8_t across = mean_of_two(a, b), along = mean_of_two(c, d);
         const uint8_t cross = mean_of_four(c, d, a, b);
         const uint8_t askew = mean_of_four(at[k - w - 1], at[k - w + 1], at[k + w - 1], at[k + w + 1]);
         const uint8_t of_two = across > along ? across : along, of_four = cross > askew ? cross : askew;
-        const uint8_t mask = k & 1 ? odd : even;
-        const uint8_t others = (uint8_t)((of_two & mask) | (of_four & ~mask));
+        const uint8_t others = (uint8_t)((of_two & chosen[k]) | (of_four & ~chosen[k]));
         out[k] = own > others ? own : others;
     }
+}
+
+static void greatest_of_cells(const uint8_t* const at, const int64_t w, const bool green, uint8_t* const restrict out,
+                              const int64_t size)
+{
+    uint8_t every_other[CELLS + 1];
+    for (int k = 0; k < CELLS + 1; k++) {
+        every_other[k] = k % 2 == 0 ? 255 : 0;
+    }
+    const uint8_t* const chosen = every_other + (green ? 0 : 1);
+    int64_t start = 0;
+    for (; start + CELLS <= size; start += CELLS) {
+        greatest_of_run(at + start, w, chosen, out + start, CELLS);
+    }
+    greatest_of_run(at + start, w, chosen, out + start, size - start);
 }
 
 // The same with black taken off and weak channels raised, at most 255.

@@ -17,7 +17,9 @@ from pathlib import Path
 import pytest
 
 from annulus_pipe.shipped import UNIT, shipped
-from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, native
+from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, libraries
+
+LEVELS = {"x86_64": ("x86-64-v2", "x86-64-v3", "x86-64-v4"), "aarch64": ("armv8-a",)}
 
 pytestmark = pytest.mark.deep(
     gate="tests/unit/test_extras.py::test_every_room_and_command_is_imported_without_any_extra"
@@ -83,10 +85,12 @@ def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: P
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_library_runs_where_glibc_is_of_2_17(machine: str, tmp_path: Path) -> None:
-    library = native(ROOT, machine, tmp_path)
-    assert (2, 0) < glibc_needed(library) <= GLIBC
-    head = library.read_bytes()[:20]
-    assert (head[:4], head[18]) == (b"\x7fELF", {"x86_64": 62, "aarch64": 183}[machine])
+    made = libraries(ROOT, machine, tmp_path)
+    assert [one.name for one in made] == ["libannulus_native.so", *(f"loops-{level}.so" for level in LEVELS[machine])]
+    for library in made:
+        assert (2, 0) < glibc_needed(library) <= GLIBC
+        head = library.read_bytes()[:20]
+        assert (head[:4], head[18]) == (b"\x7fELF", {"x86_64": 62, "aarch64": 183}[machine])
 
 
 def test_it_says_which_commit_it_is_and_so_does_its_image(annulus: Run) -> None:

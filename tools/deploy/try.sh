@@ -97,7 +97,6 @@ inside() {
 		contained client annulus reprocess "${given[@]}" --out=/mnt/season --engine=dask --scheduler=tls://10.9.0.1:8786 --tls-ca=/mnt/tls/ca.pem \
 			--tls-cert=/mnt/tls/client.pem --tls-key=/mnt/tls/client.key --progress=json >"$folder/client.log" 2>&1 || status=$?
 		row "annulus reprocess by two workers" "$(since "$begun")" "status $status; $(grep -v '"done"' "$folder/client.log" | tail -1 | cut -c1-90)"
-		row "lines of compiling, anywhere" "" "$(cat "$folder"/{client,one,two}.log | grep -c 'compiling the measuring loops' || true)"
 		begun=$(date +%s.%N) status=0
 		contained alone annulus reprocess "${given[@]}" --out=/scratch/season --workers 1 >"$folder/alone.log" 2>&1 || status=$?
 		row "the same by one process of one container" "$(since "$begun")" "status $status; cloud.ply and stations.csv $(cmp "$folder/give/season/scan/cloud.ply" "$folder/scratch/alone/season/scan/cloud.ply" && cmp "$folder/give/season/scan/stations.csv" "$folder/scratch/alone/season/scan/stations.csv" && echo the same bytes || echo OTHERS)"

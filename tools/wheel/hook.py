@@ -42,7 +42,8 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
         commit = _commit(root)
         about = {"version": self.metadata.version, "commit": commit, "machine": machine}
         (build / "build.json").write_text(json.dumps(about) + "\n")
-        made = {build / "build.json": "build.json", native(root, machine, build): "libannulus_native.so"}
+        made = {build / "build.json": "build.json"}
+        made |= {library: library.name for library in libraries(root, machine, build)}
         if os.environ.get("ANNULUS_IMAGE") != "no":
             _run("make", "--silent", "-C", str(root / "firmware"), "image", "rig")
             for image in ("annulus.uf2", "annulus-rp2350.uf2", "rig.uf2"):
@@ -55,16 +56,19 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
         build_data["tag"] = f"py3-none-manylinux_{GLIBC[0]}_{GLIBC[1]}_{machine}"
 
 
-def native(root: Path, machine: str, build: Path) -> Path:
-    """The native library for that machine, without what only a debugger reads."""
+def libraries(root: Path, machine: str, build: Path) -> list[Path]:
+    """For that machine: the native library, and the loops for its kinds of processor; less what a debugger reads."""
     prefix = "" if machine == platform.machine() else f"{machine}-linux-gnu-"
     _run("make", "--silent", "-C", str(root / "firmware"), "native", f"BUILD={build}", f"CC={prefix}gcc")
-    made, slim = build / "libannulus_native.so", build / "slim" / "libannulus_native.so"
-    slim.parent.mkdir(exist_ok=True)
-    _run(f"{prefix}strip", "--strip-debug", "-o", str(slim), str(made))
-    if (newest := glibc_needed(slim)) > GLIBC:
-        raise SystemExit(f"annulus: {made}: needs glibc {newest[0]}.{newest[1]}, expected at most 2.17")
-    return slim
+    loops = ("-C", str(root / "host/native"), f"BUILD={build}", f"CC={prefix}gcc", f"MACHINE={machine}")
+    _run("make", "--silent", *loops)
+    slim = build / "slim"
+    slim.mkdir(exist_ok=True)
+    for made in sorted(build.glob("*.so")):
+        _run(f"{prefix}strip", "--strip-debug", "-o", str(slim / made.name), str(made))
+        if (newest := glibc_needed(made)) > GLIBC:
+            raise SystemExit(f"annulus: {made}: needs glibc {newest[0]}.{newest[1]}, expected at most 2.17")
+    return sorted(slim.glob("*.so"))
 
 
 def glibc_needed(library: Path) -> tuple[int, ...]:

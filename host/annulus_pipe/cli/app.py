@@ -20,12 +20,11 @@ from annulus_pipe.cli.reference import ReferenceDiameter, References, ReferenceU
 from annulus_pipe.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
 from annulus_pipe.cli.reprocess import reprocess
 from annulus_pipe.cli.sample import sample
-from annulus_pipe.cli.show import Bars, Json, print_findings, progress, tell
+from annulus_pipe.cli.show import Bars, Json, print_findings, progress
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
 from annulus_pipe.hooks import opened
-from annulus_pipe.numeric.telling import telling
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -153,7 +152,7 @@ def reconstruct(
     from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.job import job_of
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess import Processes, look_at, make_ready, open_job, surveyed
+    from annulus_pipe.reprocess import Processes, look_at, open_job, surveyed
     from annulus_pipe.scans.origin import origin_of
     from annulus_pipe.storage.place import StoragePath
 
@@ -186,7 +185,6 @@ def reconstruct(
     origin = origin_of(work.scan, calibration, sheet)
     look_at(work)  # what is refused is refused before loops are compiled
     prepare_folder(out)
-    make_ready(work.calibration, tell)
     with progress(show_as) as bars:
         place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria)
         done = surveyed(
@@ -260,7 +258,7 @@ app.command(epilog=TUNE_EXAMPLE)(tune)
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
-    with escaped(), telling(tell):
+    with escaped():
         try:
             try:
                 _run()

@@ -76,15 +76,11 @@ def console(
 
 
 def _paced() -> float:
-    """What this machine holds, as `annulus demo` measures it; loops are compiled before, which the simulated head's
-    daemon would have to wait for while nobody could see why.
-    """
+    """What this machine holds, as `annulus demo` measures it."""
     from annulus_pipe.demo import measure_pace
-    from annulus_pipe.reprocess.ahead import make_ready
     from annulus_pipe.twin.worlds import demo_world
 
     world = demo_world()
-    make_ready(world.calibration(), tell)
     tell("measuring this machine")
     pace = measure_pace(world)
     tell(pace.why)

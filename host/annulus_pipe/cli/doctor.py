@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from annulus_pipe.cli.show import Json, print_findings, tell
+from annulus_pipe.cli.show import Json, print_findings
 
 EXAMPLE = "Example: annulus doctor --config head.toml"
 
@@ -15,9 +15,6 @@ def doctor(
     folder: Annotated[
         Path | None, typer.Option(help="Where recordings go, for the disk's speed; head.toml's, or the present folder.")
     ] = None,
-    compile_ahead: Annotated[
-        bool, typer.Option("--compile", help="Compile the measuring loops now, so that no scan waits for it.")
-    ] = False,
     where: Annotated[
         bool, typer.Option("--where", help="Only print the folder of udev rule, systemd unit and image.")
     ] = False,
@@ -34,6 +31,4 @@ def doctor(
         return
     from annulus_pipe import doctor as room
 
-    if compile_ahead:
-        room.compile_ahead(config, tell)
     print_findings(room.examine(config, folder), as_json)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus_pipe.cli.show import Bars, Json, progress, tell, verbs
+from annulus_pipe.cli.show import Bars, Json, progress, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
@@ -80,14 +80,13 @@ def check(
 
     Status 1 where a section was not seen, is of another size than any drift explains, or reads wrong for sure.
     """
-    from annulus_pipe.reprocess import Processes, make_ready, open_job, prior_of, reprocess
+    from annulus_pipe.reprocess import Processes, open_job, prior_of, reprocess
     from annulus_pipe.wall.scale import drift_lines, find_scale
 
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
     work = open_job(scan, calibration, reference=artefacts, sections=sections)
     if not work.sections:
         raise AnnulusError(f"{scan}: no section of known diameter is named, expected --reference FROM:TO, as 0:120")
-    make_ready(work.calibration, tell)
     with progress(Bars.BAR) as bars:
         done = reprocess(work, Processes(workers), bars)
     scale = find_scale(done.profiles, work.calibration, work.sections, prior_of(work.scan))

@@ -179,7 +179,7 @@ def _one(scan: str, place: "StoragePath", executor: "Executor", given: _With, ba
 def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
     from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess import look_at, make_ready, open_job, surveyed
+    from annulus_pipe.reprocess import look_at, open_job, surveyed
     from annulus_pipe.scans.origin import origin_of
     from annulus_pipe.storage.place import where
 
@@ -194,7 +194,6 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
     look_at(work)  # what is refused is refused before loops are compiled
-    make_ready(work.calibration, tell)
     if place.local is not None:
         prepare_folder(place.local)
     about = ReportContext(scan, origin)

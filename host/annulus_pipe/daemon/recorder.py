@@ -1,7 +1,7 @@
 """The recorder process. Run as `python -m annulus_pipe.daemon.recorder`.
 
 A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it. It
-imports neither OpenCV nor numba: a spare one must be up at once. OpenCV comes while it waits to be called.
+imports no OpenCV: a spare one must be up at once. OpenCV comes while it waits to be called.
 
 A frame that is there as soon as the one before it is done with, and others before it, says that frames come faster than
 they are written: then they are written as they are, which takes a third of the time, until there is a pause again.

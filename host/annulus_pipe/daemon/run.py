@@ -5,7 +5,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from annulus_pipe.daemon.service import Service
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.daemon.state import State
 from annulus_pipe.job import job_of
-from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.stream.working import leave_uncollected
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -76,9 +74,6 @@ def run_daemon(config: HeadConfig, log: Path | None = None, job: Sequence[str] =
         if remark := raise_priority(config.realtime):
             listeners.event("priority", remark)
         try:
-            if config.calibration is not None:
-                say = partial(listeners.event, "compiling")
-                make_ready(config.calibration, say, lambda: interrupt.requested)
             sensors = open_sensors(config.sensors)
             session = Session(config, observer=listeners, sensors=sensors)
             leave_uncollected()

@@ -11,7 +11,7 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.record.codec import to_picture
-from annulus_pipe.reprocess.method import method_for, warm_up
+from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.stream.working import serve
@@ -23,7 +23,6 @@ class ReconstructionJob:
     def __init__(self, calibration: Calibration, colour: ColourProfile | None = None) -> None:
         self._joins = bool(calibration.others)  # its profiles say themselves which camera saw what
         self._method = method_for(calibration, colour)
-        warm_up(self._method, calibration)  # compiles now what the first frame would wait for
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         return self.flash([(header, image)], extra)

@@ -14,18 +14,10 @@ from annulus_pipe.daemon.config import HeadConfig, load_config
 from annulus_pipe.doctor.drive import disk
 from annulus_pipe.doctor.eyes import cameras
 from annulus_pipe.doctor.lines import boards, libusb, ports, rule
-from annulus_pipe.doctor.machine import clock, kernels, memory, secrets, versions
-from annulus_pipe.reprocess import make_ready
-from annulus_pipe.twin.worlds import demo_world
+from annulus_pipe.doctor.machine import clock, loops, memory, secrets, versions
 from annulus_pipe.vocabulary import AnnulusError
 
-__all__ = ["CheckRow", "compile_ahead", "examine"]
-
-
-def compile_ahead(config: Path | None, say: Callable[[str], None]) -> None:
-    """The measuring loops of head.toml's head, or of the usual one. AnnulusError where head.toml cannot be read."""
-    calibration = None if config is None else load_config(config).calibration
-    make_ready(calibration or demo_world().calibration(), say)
+__all__ = ["CheckRow", "examine"]
 
 
 def examine(config: Path | None = None, folder: Path | None = None, root: Path = Path("/")) -> list[CheckRow]:
@@ -36,11 +28,10 @@ def examine(config: Path | None = None, folder: Path | None = None, root: Path =
     if config is not None:
         with suppress(AnnulusError):  # the first of its own rows says it
             head = load_config(config)
-    calibration = None if head is None else head.calibration
     where = folder or (head.record_folder if head is not None else None) or Path.cwd()
     looks: tuple[Callable[[], list[CheckRow]], ...] = (
         versions,
-        lambda: kernels(calibration),
+        loops,
         lambda: ports(root),
         boards,
         libusb,

@@ -1,4 +1,4 @@
-"""The machine itself: what is installed, clock, memory, compiled loops."""
+"""The machine itself: what is installed, clock, memory, the library of the loops."""
 
 import ctypes
 import importlib.metadata
@@ -13,13 +13,11 @@ from annulus_pipe.daemon.check import CheckRow
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.flash import update
 from annulus_pipe.flash.image import read_image
-from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.numeric import compiling
-from annulus_pipe.reprocess import ahead
+from annulus_pipe.numeric import native
 from annulus_pipe.stream.access import require_secret
 from annulus_pipe.vocabulary import AnnulusError
 
-PACKAGES = ("numpy", "opencv-python-headless", "scipy", "numba", "mcap", "pyzmq", "simplejpeg")
+PACKAGES = ("numpy", "opencv-python-headless", "scipy", "mcap", "pyzmq", "simplejpeg")
 STEP_MS, LOOK_S = 1.0, 0.3  # of the clock against one that never jumps
 STA_UNSYNC, TIMEX_BYTES, STATUS_AT = 0x40, 512, 5  # struct timex of linux/timex.h: `status` is its sixth word
 SPARE_BYTES = 600e6  # for the daemon, a recorder, a publisher and two workers, without frames
@@ -52,16 +50,12 @@ def versions() -> list[CheckRow]:
     return found
 
 
-def kernels(calibration: Calibration | None = None) -> list[CheckRow]:
-    """Whether the measuring loops of a head are compiled: of the one named, or of one camera and a slide."""
-    kept = compiling.folder()
-    if kept is None:
-        return [CheckRow("compiled", False, compiling.NOWHERE)]
-    work = ahead.USUAL if calibration is None else ahead.work_of(calibration)
-    ready = compiling.is_ready(work) if calibration is None else ahead.is_ready(calibration)
-    if ready:
-        return [CheckRow("compiled", True, f"the measuring loops ({work}), in {kept}")]
-    return [CheckRow("compiled", None, f"not yet ({work}): the first scan waits for it, or have doctor compile it now")]
+def loops() -> list[CheckRow]:
+    """Which library of the measuring loops this processor runs."""
+    try:
+        return [CheckRow("loops", True, f"the measuring loops for {native.level()}")]
+    except AnnulusError as error:
+        return [CheckRow("loops", False, str(error))]
 
 
 def secrets(files: Sequence[Path]) -> list[CheckRow]:

@@ -1,5 +1,5 @@
-"""Numbers without a subject: array types, compiled loops, robust statistics, and how a number is read. Knows no pipe.
+"""Numbers without a subject: array types, loops in C, robust statistics, and how a number is read. Knows no pipe.
 
-Assumed by compiled loops: NaN means "nothing here" and keeps that meaning; sums may be regrouped, so two machines may
-differ in a last bit.
+Assumed by the loops: NaN means "nothing here" and keeps that meaning; sums have one order, so they are the same bits on
+every machine.
 """

@@ -15,6 +15,7 @@ another ("x86-64-v2"), for tests.
 
 import ctypes
 import functools
+import hashlib
 import os
 import platform
 import re
@@ -24,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.shipped import LOOPS, shipped
+from annulus_pipe.shipped import LOOPS, of_checkout, shipped
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -42,31 +43,54 @@ _KINDS: dict[str, Any] = {
     "u1": ctypes.c_uint8,
     "b1": ctypes.c_bool,
 }
+_BYTE = ctypes.c_char.from_buffer
 _ARGUMENT = re.compile(r"(?P<kind>\w\d)(\[(?P<sizes>[\w, ]*)\](?P<written>!?)(?P<optional>\??))? (?P<name>\w+)")
-
-
-def library_name(level: str) -> str:
-    return f"{LOOPS}{level}.so"
 
 
 @functools.cache
 def library() -> ctypes.CDLL:
     """The loops for this processor. Raises AnnulusError where they were not built or cannot be loaded."""
+    return _load(shipped(f"{LOOPS}{level()}.so"))
+
+
+@functools.cache
+def level() -> str:
+    """Which of LEVELS is loaded. Raises AnnulusError as `library` does."""
     if chosen := os.environ.get(CHOSEN):
-        return _load(shipped(library_name(chosen)))
-    usual = _load(shipped(library_name(LEVELS[2 if platform.machine() == "x86_64" else 0])))
-    usual.processor_level.restype = ctypes.c_int64
-    level = LEVELS.get(usual.processor_level(), LEVELS[2])
-    return _load(shipped(library_name(level)))
+        return chosen
+    usual = LEVELS[2 if platform.machine() == "x86_64" else 0]
+    able = _load(shipped(f"{LOOPS}{usual}.so")).processor_level
+    able.restype = ctypes.c_int64
+    return LEVELS.get(able(), usual)
 
 
 def _load(path: Path) -> ctypes.CDLL:
     try:
-        return ctypes.CDLL(str(path))
+        loaded = ctypes.CDLL(str(path))
     except OSError as error:
         raise AnnulusError(
             f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
         ) from None
+    loaded.library_sources.restype = ctypes.c_char_p
+    if (ours := sources()) not in ("", loaded.library_sources().decode()):
+        raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
+    return loaded
+
+
+def built_from() -> str:
+    """A digest of the C that the loaded library was built from."""
+    return str(library().library_sources().decode())
+
+
+@functools.cache
+def sources() -> str:
+    """A digest of the C in this checkout, as its Makefile makes it; empty where annulus came as a wheel."""
+    try:
+        folder = of_checkout("host/native/level.c").parent
+    except AnnulusError:
+        return ""
+    files = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 class Argument:
@@ -95,10 +119,17 @@ class Like:
         if value.shape != like.shape or value.dtype != like.dtype or not value.flags.c_contiguous:
             expected = f"{like.dtype} {like.shape} in order of memory"
             raise ValueError(f"array: expected {expected}, got {value.dtype} {value.shape}")
-        return int(value.__array_interface__["data"][0])
+        return _address(value)
 
 
-class Door:
+def _address(array: Any) -> int:
+    try:
+        return ctypes.addressof(_BYTE(array))  # a third of the time of what follows
+    except (TypeError, ValueError):  # read only, or empty
+        return int(array.__array_interface__["data"][0])
+
+
+class LoopDoor:
     """A function of the library; see the module."""
 
     def __init__(self, name: str, *arguments: str, returns: str = "") -> None:
@@ -132,7 +163,8 @@ class Door:
     def _packed(self, values: tuple[Any, ...]) -> list[Any]:
         if len(values) != len(self.arguments):
             raise ValueError(f"{self.name}: {len(values)} arguments, expected {len(self.arguments)}")
-        sizes: dict[str, int] = {}
+        sizes: dict[int | str, int] = {}
+        known = sizes.setdefault
         packed: list[Any] = []
         for one, value in zip(self.arguments, values, strict=True):
             if not one.is_array:
@@ -141,22 +173,22 @@ class Door:
             if value is None and one.optional:
                 packed.append(None)
                 continue
-            shape = value.shape
+            shape, flags = value.shape, value.flags
             if (
                 value.dtype != one.dtype
                 or len(shape) != len(one.sizes)
-                or not value.flags.c_contiguous
-                or (one.written and not value.flags.writeable)
+                or not flags.c_contiguous
+                or (one.written and not flags.writeable)
             ):
                 self._refuse(one, value)
             for size, length in zip(one.sizes, shape, strict=True):
-                if (size if isinstance(size, int) else sizes.setdefault(size, length)) != length:
+                if size != length and (size.__class__ is int or known(size, length) != length):
                     self._refuse(one, value, sizes)
-            packed.append(value.__array_interface__["data"][0])
+            packed.append(_address(value))
         packed += [sizes.get(letter, 0) for letter in self.letters]
         return packed
 
-    def _refuse(self, one: Argument, value: Any, sizes: dict[str, int] | None = None) -> None:
+    def _refuse(self, one: Argument, value: Any, sizes: dict[int | str, int] | None = None) -> None:
         got = f"{value.dtype} {value.shape}, {'' if value.flags.c_contiguous else 'not '}in order of memory"
         raise ValueError(f"{self.name}: {one.name}: expected {one.text}{f' with {sizes}' if sizes else ''}, got {got}")
 
@@ -169,9 +201,9 @@ class Door:
         return function  # type: ignore[no-any-return]
 
 
-DOORS: list[Door] = []  # all that were declared, for the test that holds them to the C
+DOORS: list[LoopDoor] = []  # all that were declared, for the test that holds them to the C
 
 
-def door(name: str, *arguments: str, returns: str = "") -> Door:
-    DOORS.append(Door(name, *arguments, returns=returns))
+def door(name: str, *arguments: str, returns: str = "") -> LoopDoor:
+    DOORS.append(LoopDoor(name, *arguments, returns=returns))
     return DOORS[-1]

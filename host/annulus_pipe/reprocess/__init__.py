@@ -9,11 +9,10 @@ A scan that has no profile a frame belongs to a wing: `hooks.opened` says so.
 >>> pipe = survey_of("scan.mcap")
 """
 
-from annulus_pipe.reprocess.ahead import make_ready
 from annulus_pipe.reprocess.engine import LedFrames, Reprocessed, look_at, measure, reprocess, survey_of
 from annulus_pipe.reprocess.executors import Executor, Failed, Processes, Work, in_process
 from annulus_pipe.reprocess.job import Job, open_job, stage_medians
-from annulus_pipe.reprocess.method import Method, method_for, warm_up
+from annulus_pipe.reprocess.method import Method, method_for
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.photographs import photographs
 from annulus_pipe.reprocess.whole import Surveyed, surveyed
@@ -30,7 +29,6 @@ __all__ = [
     "Work",
     "in_process",
     "look_at",
-    "make_ready",
     "measure",
     "method_for",
     "open_job",
@@ -40,5 +38,4 @@ __all__ = [
     "stage_medians",
     "survey_of",
     "surveyed",
-    "warm_up",
 ]

@@ -7,13 +7,11 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.mosaic import Picture
-from annulus_pipe.reprocess.warmup import warmup_frame
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import Trouble, examine
 from annulus_pipe.rings.reconstructor import Reconstructor
-from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.stereo import StereoReconstructor, swapped
-from annulus_pipe.vocabulary import AnnulusError, Finding, Label
+from annulus_pipe.vocabulary import AnnulusError, Finding
 from annulus_pipe.wall.profile import Profile
 
 
@@ -69,9 +67,3 @@ def examined(
     alone = [(index, image) for index, images in some for image in images.values()]
     findings = examine(Reconstructor(calibration, colour=colour), alone, colour)
     return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
-
-
-def warm_up(method: Method, calibration: Calibration) -> Profile:
-    """Take a drawn frame through the whole method, so that no real one has to wait for compilers."""
-    frames = {one.id: warmup_frame(calibration, one) for one in calibration.cameras}
-    return method(ScanFrame(0, Label.PROJECTOR, 0.0, "warm-up frame"), frames, None)

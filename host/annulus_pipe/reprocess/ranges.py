@@ -21,7 +21,6 @@ from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.record.frames import RecordedFrame
 from annulus_pipe.record.recording import Recording
 from annulus_pipe.record.walk import DamagedError
-from annulus_pipe.reprocess.ahead import make_ready_beside
 from annulus_pipe.reprocess.executors import Executor, Failed
 from annulus_pipe.reprocess.job import Job, measured, stage_medians
 from annulus_pipe.reprocess.method import method_for
@@ -163,7 +162,6 @@ class Measuring:
     place: StoragePath
 
     def ready(self) -> Callable[[Range], Facts]:
-        make_ready_beside(self.job.calibration)
         method = method_for(self.job.calibration, self.job.colour)
         given = address(measured_with(), self.job.calibration, self.job.colour)
 

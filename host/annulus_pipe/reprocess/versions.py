@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from annulus_pipe.numeric import native
+
 ROOMS = (
     "numeric",
     "geometry",
@@ -29,29 +31,23 @@ ROOMS = (
     "reprocess",
 )
 FILES = ("vocabulary.py", "untrusted.py")  # beside the rooms
-PACKAGES = ("numpy", "cv2", "scipy", "numba", "llvmlite", "zstandard")
+PACKAGES = ("numpy", "cv2", "scipy", "zstandard")
 
 
 @functools.cache
 def measured_with() -> Mapping[str, str]:
     """Digest of the sources of all rooms between a frame and its profile, versions of what they call."""
-    import numba
-
-    versions = {"annulus": _sources()}
+    versions = {"annulus": _sources(), "loops": native.built_from()}
     versions |= {name: str(import_module(name).__version__) for name in PACKAGES}
     versions["python"] = ".".join(platform.python_version_tuple()[:2])
     versions["machine"] = platform.machine()
-    versions["numba flags"] = f"opt {int(numba.config.OPT)}{', no jit' if numba.config.DISABLE_JIT else ''}"
     return versions
 
 
 @functools.cache
 def processor() -> str:
-    """What compiled loops are made for. The last bit of a sum may be another on another kind."""
-    import numba
-    from llvmlite import binding
-
-    return str(numba.config.CPU_NAME or binding.get_host_cpu_name())
+    """The kind of it. The loops in C are the same bits on all; a sum of numpy's may end in another bit on another."""
+    return native.level()
 
 
 def differing(one: Mapping[str, str], other: Mapping[str, str]) -> str:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.rings.polar import ACROSS, PolarGrid, sampled
@@ -103,54 +102,9 @@ def _at_scale(
     )
     floor = LEAST_SIGMA * noise * float(np.linalg.norm(second))
     out = np.empty((len(top) * PER_LINE, 4), np.float32)
-    n, crowded = _ridges(np.asarray(smooth), np.asarray(slope), np.asarray(curve), stop, np.float32(floor), out)
-    return out[:n, :3], out[:n, 3], crowded
-
-
-@jit
-def _ridges(smooth, slope, curve, stop, floor, out):  # type: ignore[no-untyped-def]
-    n, crowded = 0, 0
-    for j in range(len(stop)):
-        start = n
-        for i in range(2, stop[j] - 2):
-            if not (slope[j, i] > 0.0 and slope[j, i + 1] <= 0.0):
-                continue
-            part = slope[j, i] / (slope[j, i] - slope[j, i + 1])
-            bend = -(curve[j, i] + part * (curve[j, i + 1] - curve[j, i]))
-            if bend < floor:
-                continue
-            at = i if part < 0.5 else i + 1
-            peak = smooth[j, at]
-            left, right = at, at
-            while left > 0 and smooth[j, left - 1] <= smooth[j, left]:
-                left -= 1
-            while right < stop[j] - 1 and smooth[j, right + 1] <= smooth[j, right]:
-                right += 1
-            level = 0.5 * (peak + max(smooth[j, left], smooth[j, right]))
-            a, b = at, at
-            while a > left and smooth[j, a - 1] > level:
-                a -= 1
-            while b < right and smooth[j, b + 1] > level:
-                b += 1
-            low = float(a) - (smooth[j, a] - level) / max(smooth[j, a] - smooth[j, a - 1], 1e-6) if a > 0 else float(a)
-            high = float(b) + (smooth[j, b] - level) / max(smooth[j, b] - smooth[j, b + 1], 1e-6)
-            where = n
-            if n - start == PER_LINE:  # the weakest goes
-                crowded += 1
-                weakest = start
-                for k in range(start, n):
-                    if out[k, 2] < out[weakest, 2]:
-                        weakest = k
-                if out[weakest, 2] >= bend:
-                    continue
-                for k in range(weakest, n - 1):
-                    for c in range(4):
-                        out[k, c] = out[k + 1, c]
-                where = n - 1
-            else:
-                n += 1
-            out[where, 0], out[where, 1], out[where, 2], out[where, 3] = j, i + part, bend, high - low
-    return n, crowded
+    crowded = np.zeros(1, np.int64)
+    n = _ridges(smooth, slope, curve, np.ascontiguousarray(stop, np.int64), floor, PER_LINE, out, crowded)
+    return out[:n, :3], out[:n, 3], int(crowded[0])
 
 
 def _usual(direction: NDArray[np.int64], strength: FloatArray) -> float:
@@ -203,4 +157,16 @@ _align = door(
     "i8[2,w]! places",
     "f8[3,w]! work",
     "i8[n]! ring",
+)
+_ridges = door(
+    "rings_ridges",
+    "f4[j,i] smooth",
+    "f4[j,i] slope",
+    "f4[j,i] curve",
+    "i8[j] stop",
+    "f4 least_bend",
+    "i8 per_line",
+    "f4[m,4]! out",
+    "i8[1]! crowded",
+    returns="i8",
 )

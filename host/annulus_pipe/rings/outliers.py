@@ -47,7 +47,7 @@ def reject_outliers(
     ring at nearly its radius.
     """
     size = len(ring)
-    bright = slits.inside.max(axis=1) + slits.outside.max(axis=1) if size else np.empty(0)
+    bright = _brightest(slits.inside) + _brightest(slits.outside)
     radius = np.take_along_axis(radius_mm, np.maximum(ring, 0)[:, None], axis=1)[:, 0] if size else np.empty(0)
     named = NamedSlits(
         ring,
@@ -60,6 +60,11 @@ def reject_outliers(
     judge = Outliers(named, 1.0, step_mm, directions)
     judge.reject(size)
     return judge.counts(), judge.wider
+
+
+def _brightest(light: FloatArray) -> FloatArray:
+    """(N,) of (N, 3); max over so short an axis takes numpy twenty times as long."""
+    return np.maximum(np.maximum(light[:, 0], light[:, 1]), light[:, 2])
 
 
 class NamedSlits(NamedTuple):

@@ -8,7 +8,6 @@ on an orange wall the red of that light is stronger all over than a blue or gree
 It also draws edges aside, unlike on two sides of a slit: on a white pipe by a tenth of a pixel.
 """
 
-import cv2
 import numpy as np
 
 from annulus_pipe.numeric.mosaic import Picture, bgr_of
@@ -33,12 +32,14 @@ def without_pedestal(image: Picture, spacing_px: float) -> Picture:
     window = int(WINDOW * spacing_px / step) | 1
     if not _worth_it(image, 2 * step, window // 2 | 1):
         return image
-    image = bgr_of(image)
-    least = cv2.erode(image[step // 2 :: step, step // 2 :: step], np.ones((window, window), np.uint8))
-    # no more than the least: a stripe that goes on beyond the last slit must not smooth its own light onto that
-    smooth = cv2.blur(cv2.min(cv2.blur(least, (window, window)), least), (window // 4 | 1,) * 2)
-    everywhere = cv2.resize(smooth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.subtract(image, everywhere), np.uint8)
+    image = np.ascontiguousarray(bgr_of(image))
+    height, width = image.shape[:2]
+    rows, columns = (-(-(size - step // 2) // step) for size in (height, width))
+    out = np.empty((height, width, 3), np.uint8)
+    small, sums = np.empty((4, rows, columns, 3), np.uint8), np.empty(3 * columns, np.uint32)
+    between = np.empty((2, width), np.int32), np.empty(columns, np.uint64), np.empty((2, 3 * width), np.uint16)
+    _without_veil(image, step, window // 2, (window // 4 | 1) // 2, small, sums, *between, out)
+    return out
 
 
 def _worth_it(image: Picture, step: int, window: int) -> bool:
@@ -60,4 +61,17 @@ _pedestal = door(
     "u1[a,b]! rows",
     "u1[a,b]! darkest",
     returns="i8",
+)
+_without_veil = door(
+    "rings_without_veil",
+    "u1[h,w,3] image",
+    "i8 step",
+    "i8 half",
+    "i8 smooth",
+    "u1[4,a,b,3]! small",
+    "u4[m]! sums",
+    "i4[2,w]! columns",
+    "u8[b]! spread",
+    "u2[2,v]! wide",
+    "u1[h,w,3]! out",
 )

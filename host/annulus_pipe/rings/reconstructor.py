@@ -33,7 +33,7 @@ from annulus_pipe.rings.order import PlacedSlits, by_order
 from annulus_pipe.rings.outliers import NamedSlits, Outliers
 from annulus_pipe.rings.pedestal import without_pedestal
 from annulus_pipe.rings.polar import PolarGrid, Unroller, polar_grid, unroll
-from annulus_pipe.rings.slits import Slits, SlitTable, find_slits
+from annulus_pipe.rings.slits import FrameSlits, Slits, find_slits
 from annulus_pipe.rings.triangulate import CandidatePoints, RingOptics, ring_optics
 from annulus_pipe.rings.uncertainty import BIAS_PX, KeptSlits, PointErrors, calibrated
 from annulus_pipe.vocabulary import AnnulusError
@@ -68,7 +68,7 @@ class _Memory:
     ) -> None:
         rings, directions = optics.bend.shape
         of_lines = calibration.kind == "line"  # of one colour
-        self.unroll, self.slits = Unroller(grid), SlitTable(grid)
+        self.unroll, self.slits = Unroller(grid), FrameSlits(grid)
         slits = self.slits
         most = len(slits.position)
         self.colour = np.empty((2, most), np.uint8)  # of the stripes inside and outside

@@ -46,7 +46,7 @@ class Slits:
     crowded: int  # slits left out because a line had more than PER_LINE
 
 
-class SlitTable:
+class FrameSlits:
     """The slits of one frame at a time, in memory that is used again for each; of all arrays the first `size` count."""
 
     def __init__(self, grid: PolarGrid) -> None:
@@ -118,7 +118,7 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     stripes' unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of
     the light beside the slit and of the frame's own bright level and noise.
     """
-    table = SlitTable(grid)
+    table = FrameSlits(grid)
     table.find(unrolled)
     return table.slits()
 

@@ -18,7 +18,7 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.native import door
 from annulus_pipe.rings.decode import Candidates
 from annulus_pipe.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
-from annulus_pipe.rings.slits import Slits, SlitTable
+from annulus_pipe.rings.slits import FrameSlits, Slits
 
 # sine of the least angle between ray and cone that still makes a point; test_a_plane_is_no_grazing_cone
 GRAZING = 0.008
@@ -153,7 +153,7 @@ class CandidatePoints:
     """Where listed candidates lie, in memory that is used again for each frame: points (3, C) mm, camera frame; NaN
     where ray and cone do not meet."""
 
-    def __init__(self, table: SlitTable, candidates: Candidates, grid: PolarGrid, optics: RingOptics) -> None:
+    def __init__(self, table: FrameSlits, candidates: Candidates, grid: PolarGrid, optics: RingOptics) -> None:
         self.points = np.empty((3, len(candidates.slit)))
         self._table, self._candidates = table, candidates
         self._rotation, self._shift = np.empty((3, 3)), np.empty(3)

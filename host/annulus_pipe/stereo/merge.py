@@ -13,37 +13,44 @@ other beyond what their sigmas allow, and neither is believed.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
-from annulus_pipe.numeric.jit import around, jit
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
-from annulus_pipe.stereo.lens import on_line
 from annulus_pipe.stereo.view import Expected, View
 
-# By topic stereo of the metrology table: errors against truth, share inside k = 2, at the tangents as elsewhere.
-JUMP_PX = 3.0  # between two neighbouring lines: more is an edge of the wall, and nothing is read between them
-SLOPE_LINES = 3  # to each side, over which the course of what was seen is read
-CLOSE_MM = 0.2  # of the wall: a step so small is the last, for what it bends by is its square over the distance
-ROUNDS = 6  # steps at most
-NEARER = 0.5  # of the distance to a clean pipe: no wall is looked for nearer ..
-FARTHER = 2.0  # .. or farther
-CONTRADICTS = 6.0  # sigma apart: two cameras do not see the same wall ..
-LEAST_PX = 0.04  # .. a sigma being at least so much
-ACROSS = 0.25  # of what is not known: where an edge of the wall leaves so much open of a slit's middle, none is known
-SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
-BOTH = 0.1  # of the weight: two cameras that both have so much say by lying apart what sigmas are worth ..
-LEAST = 200  # .. where so many points tell it ..
-UNIT_LEAST = 0.5  # .. a factor of no less ..
+# What sigmas are worth, by topic stereo of the metrology table; host/native/stereo_merge.c has the method's thresholds
+LEAST = 200  # points that must tell it
+UNIT_LEAST = 0.5  # a factor of no less ..
 UNIT_MOST = 3.0  # .. and no more
-NOISY = 0.12  # of what is not known: a direction that says less is known together with its neighbours, ..
-BESIDE_DEG = 2.5  # .. so far to each side, ..
-SLOPE_MM_DEG = 0.2  # .. as a wall that goes out or in by so much a degree, ..
-ALIKE = 3.0  # .. so many saying as much as one (pixels lie in rows), or less, by what they leave of that wall
 KNOWN, UNSEEN, CONTRADICTED, BLUNT, EDGE = 0, 1, 2, 3, 4
+
+_solve = door(
+    "stereo_merge",
+    "f8[k,3] vertices",
+    "f8[k,p,3] ways",
+    "f8[k,p] start",
+    "f8[k] limit",
+    "f8[c,34] lenses",
+    "f8[c,4,k,p] expected",
+    "f8[c,k,j] course",
+    "f8[c,k,j] stray",
+    "f8[c,k,j] sigma_px",
+    "f8[c,k,j] edge_px",
+    "f8[c] bias_px",
+    "b1[c,k,p]? usable",
+    "f8[w]! work",
+    "f8[k,p]! distance",
+    "f8[k,p]! sigma",
+    "i8[k,p]! camera",
+    "i8[k,p]! heaviest",
+    "i8[k,p]! line",
+    "i8[k,p]! state",
+    "f8[k,p]! apart",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,238 +108,26 @@ def merge(
     sigma_most_mm : (K,) of each ring: a distance known no better is not known.
     usable : (C, K, P) where each camera is asked, and all count alike; None, everywhere, by what each says.
     """
-    shape = start_mm.shape
-    course = np.stack([e.course for e in expected])
-    generators = _Generators(vertices, ways, start_mm, sigma_most_mm)
-    stacked = _Sights(
-        lenses=np.stack([view.lens for view in views]),
-        expected=np.stack([e.by_generator for e in expected]),
-        course=course,
-        stray=np.stack([s.place for s in sights]) - course,
-        sigma_px=np.stack([s.sigma_px for s in sights]),
-        edge_px=np.stack([s.edge_px for s in sights]),
-        bias_px=np.array([s.bias_px for s in sights]),
-        usable=np.ones((1, 1, 1), np.bool_) if usable is None else usable,
+    shape, course = start_mm.shape, np.stack([e.course for e in expected])
+    camera, heaviest, line, state = np.empty((4, *shape), np.int64)
+    merged = Merged(np.empty(shape), np.empty(shape), camera, heaviest, line, state, np.empty(shape))
+    _solve(
+        *(np.ascontiguousarray(one, np.float64) for one in (vertices, ways, start_mm, sigma_most_mm)),
+        np.stack([view.lens for view in views]),
+        np.stack([e.by_generator for e in expected]),
+        course,
+        np.stack([s.place for s in sights]) - course,
+        np.stack([s.sigma_px for s in sights]),
+        np.stack([s.edge_px for s in sights]),
+        np.array([s.bias_px for s in sights]),
+        None if usable is None else np.ascontiguousarray(usable, np.bool_),
+        np.empty(len(views) * (4 * (shape[1] + 1) + 2)),
+        merged.distance_mm,
+        merged.sigma_mm,
+        camera,
+        heaviest,
+        line,
+        state,
+        merged.apart,
     )
-    solved = _Solved(
-        distance=np.full(shape, np.nan),
-        sigma=np.full(shape, np.nan),
-        camera=np.zeros(shape, np.int64),
-        heaviest=np.zeros(shape, np.int64),
-        line=np.zeros(shape, np.int64),
-        state=np.zeros(shape, np.int64),
-        apart=np.full(shape, np.nan),
-    )
-    _solve(generators, stacked, usable is not None, solved)
-    return Merged(*solved)
-
-
-class _Generators(NamedTuple):
-    """The generators of K rings, P each, as `_solve` takes them."""
-
-    vertices: FloatArray  # (K, 3) mm
-    ways: FloatArray  # (K, P, 3) unit
-    start: FloatArray  # (K, P) mm, how far a clean pipe is along them
-    limit: FloatArray  # (K,) mm: a distance known no better is not known
-
-
-class _Sights(NamedTuple):
-    """What C cameras saw of them on their lines (J), and where a clean pipe would show them."""
-
-    lenses: FloatArray  # of each camera, as `on_line` takes it
-    expected: FloatArray  # (C, 4, K, P) line and sample of a clean pipe, and what they change by in a mm
-    course: FloatArray  # (C, K, J) sample of a clean pipe on each line
-    stray: FloatArray  # (C, K, J) sample seen less that, NaN for nowhere
-    sigma_px: FloatArray  # (C, K, J)
-    edge_px: FloatArray  # (C, K, J) of that what a slit across an edge of the wall may be off
-    bias_px: FloatArray  # (C,) what neighbours may be off together
-    usable: BoolArray  # (C, K, P) where each camera is asked, if gated; else of any shape
-
-
-class _Solved(NamedTuple):
-    """What is written, (K, P) each: the fields of `Merged`, in its order."""
-
-    distance: FloatArray
-    sigma: FloatArray
-    camera: IntArray
-    heaviest: IntArray
-    line: IntArray
-    state: IntArray
-    apart: FloatArray
-
-
-@jit
-def _solve(generators, sights, gated, solved):  # type: ignore[no-untyped-def]
-    """The wall along every generator: `_Generators` and `_Sights` in, `_Solved` out. gated : see `merge`'s `usable`."""
-    vertices, ways = generators.vertices, generators.ways
-    start, limit = generators.start, generators.limit
-    lenses, expected, course, stray = sights.lenses, sights.expected, sights.course, sights.stray
-    sigma_px, edge_px, bias_px, usable = sights.sigma_px, sights.edge_px, sights.bias_px, sights.usable
-    distance, sigma, camera, heaviest = solved.distance, solved.sigma, solved.camera, solved.heaviest
-    line, state, apart = solved.line, solved.state, solved.apart
-    cameras = len(lenses)
-    rings, steps = start.shape
-    left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)
-    clean = np.empty((steps, cameras, 4))  # of one ring: what each direction says of how far a clean wall is off
-    for k in range(rings):
-        most = limit[k]
-        clean[:] = 0.0
-        for p in range(steps):
-            state[k, p] = UNSEEN
-            s = start[k, p]
-            if s != s:
-                continue
-            total = 0.0
-            for turn in range(ROUNDS):
-                pull, total = 0.0, 0.0
-                for c in range(cameras):
-                    left[c] = gain[c] = off[c] = np.nan
-                    if gated and not usable[c, k, p]:
-                        continue
-                    if turn == 0:
-                        at[c], place = expected[c, 0, k, p], expected[c, 1, k, p]
-                    else:
-                        at[c], place = on_line(
-                            lenses[c],
-                            vertices[k, 0] + s * ways[k, p, 0],
-                            vertices[k, 1] + s * ways[k, p, 1],
-                            vertices[k, 2] + s * ways[k, p, 2],
-                        )
-                    by_line, by_place = expected[c, 2, k, p], expected[c, 3, k, p]
-                    value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
-                    if value != value:
-                        continue
-                    own = by_place - slope * by_line
-                    left[c], gain[c], off[c] = value - place, own, spread
-                    weight = (own / spread) ** 2 if not gated else own * own * 1e-6
-                    if gated:  # the source's: each camera's own answer, and their mean
-                        pull += (value - place) / own
-                        total += 1.0
-                    else:
-                        pull += weight * (value - place) / own if own != 0.0 else 0.0
-                        total += weight
-                    if turn == 0:
-                        clean[p, c, 0] = weight
-                        clean[p, c, 1] = own * left[c] / spread**2
-                        clean[p, c, 2] = (left[c] / spread) ** 2
-                        clean[p, c, 3] = own / spread**2
-                if not (total * (NOISY * most) ** 2 >= 1.0 or gated):
-                    break
-                step = min(max(pull / total, (NEARER - 1.0) * start[k, p]), (FARTHER - 1.0) * start[k, p])
-                s = min(max(s + step, NEARER * start[k, p]), FARTHER * start[k, p])
-                if abs(step) < CLOSE_MM:
-                    for c in range(cameras):
-                        left[c] -= gain[c] * step
-                    break
-            if not total > 0.0:
-                continue
-            square, wrong, weights, best, seen, used = 0.0, 0.0, 0.0, -1.0, 0, 0
-            own, shared = 0.0, 0.0
-            for c in range(cameras):
-                if left[c] == left[c]:
-                    weight = (gain[c] / off[c]) ** 2
-                    edge = min(edge_px[c, k, around(int(at[c] + 0.5), edge_px.shape[2])], off[c])
-                    own += weight * (1.0 - (edge / off[c]) ** 2)
-                    shared += abs(gain[c]) * edge / (off[c] * off[c])
-                    square += (left[c] / off[c]) ** 2
-                    wrong += (left[c] / max(off[c], LEAST_PX)) ** 2
-                    weights += weight
-                    seen += 1
-                    if weight > best:
-                        best, heaviest[k, p] = weight, c
-            if seen == 0 or not weights > 0.0:
-                continue
-            line[k, p] = int(at[heaviest[k, p]] + 0.5)
-            if shared > ACROSS * most * weights and not gated:
-                state[k, p] = EDGE
-                clean[p] = 0.0  # it would put its neighbours off, too
-                continue
-            if not weights * (NOISY * most) ** 2 >= 1.0 and not gated:
-                state[k, p] = BLUNT
-                continue
-            if seen > 1 and wrong > CONTRADICTS * CONTRADICTS * (seen - 1) and not gated:
-                state[k, p] = CONTRADICTED
-                continue
-            for c in range(cameras):
-                if left[c] == left[c] and (gain[c] / off[c]) ** 2 > SHARE * weights:
-                    used += 1
-            state[k, p] = KNOWN
-            distance[k, p], sigma[k, p] = s, math.sqrt(own + shared * shared) / weights
-            camera[k, p] = heaviest[k, p] if used == 1 else cameras
-            if seen == 2 and best < (1.0 - BOTH) * weights:
-                apart[k, p] = square
-        if gated:
-            continue
-        for p in range(steps):
-            if state[k, p] == EDGE or state[k, p] == BLUNT:
-                _among_neighbours(clean, bias_px, p, start[k, p], most, distance[k], sigma[k], camera[k], state[k])
-
-
-@jit
-def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, state):  # type: ignore[no-untyped-def]
-    """A direction that says too little by itself: as far from a clean wall as its neighbours are together."""
-    steps, cameras = clean.shape[:2]
-    beside = max(int(BESIDE_DEG * steps / 360.0 + 0.5), 1)
-    total, by_turn, by_square = 0.0, 0.0, (steps / (360.0 * SLOPE_MM_DEG)) ** 2
-    pull, pull_turn, square, count, best, first = 0.0, 0.0, 0.0, 0, 0.0, 0
-    shift = np.zeros((cameras, 2))  # pull and pull_turn if all of a camera's places are off by a pixel
-    for c in range(cameras):
-        own = 0.0
-        for d in range(-beside, beside + 1):
-            weight, towards, left, by_px = clean[around(p + d, steps), c]
-            if left > 0.0:
-                own, by_turn, by_square = own + weight, by_turn + weight * d, by_square + weight * d * d
-                pull, pull_turn, square = pull + towards, pull_turn + towards * d, square + left
-                shift[c, 0], shift[c, 1] = shift[c, 0] + by_px, shift[c, 1] + by_px * d
-                count += 1
-        total += own
-        if own > best:
-            best, first = own, c
-    if count <= beside or not total > 0.0:
-        return
-    lean = by_turn / by_square
-    known = total - by_turn * lean
-    beyond = (pull - pull_turn * lean) / known
-    slope = (pull_turn - by_turn * beyond) / by_square
-    unlike = (square - pull * beyond - pull_turn * slope) / count
-    variance = ALIKE * max(unlike, 1.0) / known
-    for c in range(cameras):
-        variance += (bias_px[c] * (shift[c, 0] - shift[c, 1] * lean) / known) ** 2
-    if not variance <= most * most:
-        return
-    state[p], sigma[p], distance[p] = KNOWN, math.sqrt(variance), start + beyond
-    camera[p] = first if total - best < SHARE * total else cameras
-
-
-@jit
-def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
-    """Where a ring was seen on a line between lines (sample), how that changes from line to line, and its sigma, px;
-    NaN where it was not seen."""
-    if line != line:
-        return np.nan, np.nan, np.nan
-    lines = len(stray)
-    at = int(line)
-    a, b = around(at, lines), around(at + 1, lines)
-    return _between(a, b, line - at, stray[a], sigma_px[a], stray[b], sigma_px[b], stray, course)
-
-
-@jit
-def _between(a, b, part, here, here_px, there, there_px, stray, course):  # type: ignore[no-untyped-def]
-    lines = len(stray)
-    if here == here and there == there:
-        if abs(there - here) > JUMP_PX:
-            return np.nan, np.nan, np.nan
-        value, off = here + part * (there - here), here_px + part * (there_px - here_px)
-    elif here == here and part <= 0.5:
-        value, off = here, here_px
-    elif there == there and part > 0.5:
-        value, off = there, there_px
-    else:
-        return np.nan, np.nan, np.nan
-    slope = course[b] - course[a]
-    change = stray[around(b + SLOPE_LINES, lines)] - stray[around(a - SLOPE_LINES, lines)]
-    change /= 2 * SLOPE_LINES + 1
-    value += course[a] + part * slope
-    if change == change and abs(change) < JUMP_PX / 2:
-        slope += change
-    return value, slope, off
+    return merged

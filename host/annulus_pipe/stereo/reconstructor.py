@@ -22,8 +22,8 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.numeric.jit import around, jit, middle
 from annulus_pipe.numeric.mosaic import Picture, has_bytes
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import NONE
@@ -44,22 +44,27 @@ ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
 BIAS_PX = 0.0115  # what neighbouring places may be off alike, at least; as `rings.uncertainty`
 UNTOLD_PX = 0.02  # .. and where no second camera tells it by lying apart, nor ..
 RINGS_LEAST = 3  # .. so many rings
-OVER_EXPOSED = 235.0  # grey levels: a stripe so bright may have been brighter
-# A stripe at twice full scale moves a slit by up to 0.2 px, evenly. One camera's rings tell by how much, lying apart
-# (`rings.uncertainty`); where cones graze, nothing does.
-CLIPPED_PX = 0.12
-LAG = 4  # directions; these three as `rings.uncertainty`
-LEAST = 40  # values a ring's scatter is learnt from
-UNKNOWN_PX = 0.1  # its scatter with fewer
 USUAL_PX = 0.03  # what a place is off until its frame says
-BLUR_LEAST = 0.5  # of the ring's usual edge, what a sharper edge counts for at least ..
-BLUR_MOST = 4.0  # .. and a softer one at most
 CAMERAS_LEAST = 2
 # Frames are not of one flash where more than SPREAD of what both cameras see is contradicted, in QUARTERS of the round
 # or more. A quarter of stereo-a has 0.002 at most; with its frames paired with their neighbours', 0.4 and more where
 # the head has moved.
 SPREAD = 0.02
 QUARTERS = 3
+_spread = door(
+    "stereo_spread",
+    "i8[k,j] which",
+    "f8[k,j] stray",
+    "f8[n] edge_blur",
+    "f8[n,3] inside",
+    "f8[n,3] outside",
+    "f8[n] wider",
+    "f8 least_px",
+    "f8 sigma_of_mad",
+    "f8[w]! work",
+    "f8[k,j]! sigma",
+    "f8[k,j]! edge",
+)
 TWO_WALLS, CAMERA_MISSING = "cameras contradict", "camera missing"  # keys of `rejected`
 
 
@@ -317,42 +322,10 @@ def _sight(
     if not surely:  # for a first pose, which only names
         sigma[:] = USUAL_PX
     else:
-        _spread(which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, edge)
+        by_slit = (slits.edge_blur, slits.inside, slits.outside, wider)
+        work = np.empty(3 * which.shape[1])
+        _spread(which, place - course, *by_slit, bias_px, SIGMA_OF_MAD, work, sigma, edge)
     return Sight(place, sigma, edge, bias_px)
-
-
-@jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge):  # type: ignore[no-untyped-def]
-    rings, lines = which.shape
-    work = np.empty(lines)
-    for k in range(rings):
-        size = 0
-        for j in range(lines):
-            third = (stray[k, around(j + 3 * LAG, lines)] - stray[k, j]) - 3.0 * (
-                stray[k, around(j + 2 * LAG, lines)] - stray[k, around(j + LAG, lines)]
-            )
-            if third == third:
-                work[size] = abs(third)
-                size += 1
-        scatter = SIGMA_OF_MAD / math.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX
-        size = 0
-        for j in range(lines):
-            if which[k, j] >= 0:
-                work[size] = edge_blur[which[k, j]]
-                size += 1
-        usual = max(middle(work, size), 1e-9)
-        for j in range(lines):
-            n = which[k, j]
-            if n < 0:
-                continue
-            soft = scatter * min(max(edge_blur[n] / usual, BLUR_LEAST), BLUR_MOST)
-            bright = 0.0
-            for c in range(3):
-                bright = max(bright, inside[n, c], outside[n, c])
-            bias = max(CLIPPED_PX, least) if bright > OVER_EXPOSED else least
-            foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
-            edge[k, j] = math.sqrt(foreign)
-            sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
 
 
 def _two_walls(merged: Merged) -> bool:

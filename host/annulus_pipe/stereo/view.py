@@ -5,7 +5,6 @@ tangent to its cone, the slit's place says nothing of the wall, and the wall not
 how far it lies from where its ring should be in the image, against how far a wall could move it there.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,25 +15,59 @@ from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose, pose_of
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import jit, middle
 from annulus_pipe.numeric.mosaic import Picture
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.rings.colour import ColourProfile
-from annulus_pipe.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus_pipe.rings.decode import UNKNOWN, classify, decode, readings
 from annulus_pipe.rings.outliers import reject_outliers
 from annulus_pipe.rings.pedestal import without_pedestal
 from annulus_pipe.rings.polar import PolarGrid, polar_grid, unroll
 from annulus_pipe.rings.slits import Slits, find_slits
 from annulus_pipe.rings.triangulate import RingOptics, ring_optics
-from annulus_pipe.stereo.lens import lens_numbers, on_line
+from annulus_pipe.stereo.lens import lens_numbers
 
 STEP_PX = 1.5  # along a line, between a point and its neighbours on one wall, as in `rings` ..
 STEP = 0.01  # .. plus what this part of the radius moves it by
-FARTHER = 0.02  # of the distance: step of the finite differences along a generator
 WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
-EVERY = 12  # of so many generators places are worked out on one ..
-NODES = 40  # .. but on so many of a cone at least
 SOME = 8  # lines, of which one says how far a ring's image moves
+
+_expect = door(
+    "stereo_expect",
+    "f8[34] lens",
+    "f8[k,7] cones",
+    "f8[k,p,3] ways",
+    "f8[k,p] start",
+    "f8[3,3] rotation",
+    "f8[3] shift",
+    "f8[4,k,p]! by_generator",
+    "f8[3,k,j]! by_line",
+    "f8[w]! work",
+)
+_off = door(
+    "stereo_off",
+    "i8[n] direction",
+    "f8[n] position",
+    "b1[n,k] could_be",
+    "f8[k,j] course",
+    "f8[k,j] by_radius",
+    "f8 spacing",
+    "f8[n,k]! off",
+    "f8[n,k]! deviation",
+)
+_as_usual = door("stereo_as_usual", "i8[n] ring", "i8[n] direction", "f8[k,j] by_angle", "f8[k]! mean", "f8[n]! width")
+_table = door(
+    "stereo_table",
+    "i8[n] ring",
+    "i8[n] direction",
+    "f8[n] position",
+    "f8[n] width",
+    "f8 widest",
+    "f8[k,j] bend",
+    "f8[k,j] offset",
+    "f8[k,j]! place",
+    "i8[k,j]! which",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +119,16 @@ class View:
     grid: PolarGrid
     optics: RingOptics
     colours: str
-    lens: FloatArray  # all of the above for compiled loops, see `lens`
+    lens: FloatArray  # all of the above for loops in C, see `lens`
 
     def expect(self, cones: FloatArray, ways: FloatArray, start_mm: FloatArray, pose: Pose) -> Expected:
         """What a clean pipe would show. cones (K, 7), see `RingOptics`, ways (K, P, 3), start_mm (K, P): generators to
         where they meet it."""
         rings, lines = len(cones), len(self.grid.cosine)
         by_generator, by_line = np.empty((4, *start_mm.shape)), np.full((3, rings, lines), np.nan)
-        _expect(self.lens, cones, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
+        given = (cones, ways, start_mm, pose.rotation, pose.translation)
+        work = np.empty(9 * start_mm.shape[1] + 18)  # 6 numbers of every node and three more, 3 of every step
+        _expect(self.lens, *(np.ascontiguousarray(one, np.float64) for one in given), by_generator, by_line, work)
         return Expected(by_generator, *by_line)
 
     def see(self, image: Picture, colour: ColourProfile | None) -> tuple[ObservedSlits, dict[str, int]]:
@@ -105,7 +140,8 @@ class View:
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
-        widest = WIDE * middle(slits.width.copy(), len(slits.width)) if len(slits.width) else 0.0
+        half = len(slits.width) // 2
+        widest = WIDE * float(np.partition(slits.width, half)[half]) if len(slits.width) else 0.0
         return ObservedSlits(slits, inside, outside, readings(inside, outside, self.colours), widest), rejected
 
     def name(self, seen: ObservedSlits, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
@@ -132,7 +168,7 @@ class View:
         """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
         step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius[:, ::SOME]).T)
         width = np.array(seen.slits.width)
-        _as_usual(ring, seen.slits.direction, expected.by_angle, width)
+        _as_usual(ring, seen.slits.direction, expected.by_angle, np.empty(len(expected.by_angle)), width)
         return reject_outliers(ring, replace(seen.slits, width=width), off, step, len(self.grid.cosine))
 
     def table(self, ring: NDArray[np.int64], seen: ObservedSlits) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -166,161 +202,6 @@ def view_of(calibration: Calibration, of: HeadCamera, nominal: Pose, directions:
     grid = polar_grid(own, directions, pose)
     lens = lens_numbers(of.camera, rotation, translation, grid)
     return View(of.camera, rotation, translation, grid, ring_optics(own, grid, pose), calibration.colours, lens)
-
-
-@jit
-def _off(direction, position, could_be, course, by_radius, spacing, off, deviation):  # type: ignore[no-untyped-def]
-    """(N, K) px of each slit beyond where each ring should be; and against how far a wall of a radius more or less, or
-    the nearer neighbour's place, is from there, NaN where it cannot be that ring."""
-    rings = len(course)
-    for n in range(len(direction)):
-        j = direction[n]
-        for k in range(rings):
-            off[n, k] = position[n] - course[k, j]
-            if not could_be[n, k]:
-                deviation[n, k] = np.nan
-                continue
-            gap = np.inf
-            if k > 0 and course[k - 1, j] == course[k - 1, j]:
-                gap = abs(course[k, j] - course[k - 1, j])
-            if k + 1 < rings and course[k + 1, j] == course[k + 1, j]:
-                gap = min(gap, abs(course[k + 1, j] - course[k, j]))
-            gap = gap if gap < np.inf else spacing
-            deviation[n, k] = off[n, k] / math.sqrt(by_radius[k, j] ** 2 + gap * gap)
-
-
-@jit
-def _as_usual(ring, direction, by_angle, width):  # type: ignore[no-untyped-def]
-    """Turns widths (N,) into what they would be where a ring's slit were equally wide all round."""
-    mean = np.zeros(len(by_angle))
-    for k in range(len(by_angle)):
-        count = 0
-        for j in range(by_angle.shape[1]):
-            if by_angle[k, j] == by_angle[k, j]:
-                mean[k] += by_angle[k, j]
-                count += 1
-        mean[k] /= max(count, 1)
-    for n in range(len(ring)):
-        k = ring[n]
-        if k != NONE and by_angle[k, direction[n]] > 0.0:
-            width[n] *= mean[k] / by_angle[k, direction[n]]
-
-
-@jit
-def _table(ring, direction, position, width, widest, bend, offset, place, which):  # type: ignore[no-untyped-def]
-    """Writes (K, J) slits and their places, moved to the middle of the angles, less what colours draw them."""
-    for n in range(len(ring)):
-        k, j = ring[n], direction[n]
-        if k != NONE:
-            wide = min(width[n], widest)
-            which[k, j] = n
-            place[k, j] = position[n] + bend[k, j] * wide * wide / 8.0 - offset[k, j]
-
-
-@jit
-def _expect(lens, cones, ways, start, rotation, shift, by_generator, by_line):  # type: ignore[no-untyped-def]
-    """See `Expected`: line, place and their changes with a mm, (4, K, P); course, change with a radius and with a
-    radian of the half-angle (3, K, J).
-
-    They change slowly round a cone and are worked out on some generators; cubics lead to those between (6 degrees
-    apart, within 2e-3 px), but for where the cone meets no wall."""
-    rings, steps = start.shape
-    lines = by_line.shape[2]
-    every = EVERY
-    while every > 1 and (steps % every or steps < every * NODES):
-        every //= 2
-    nodes = steps // every
-    node, own = np.empty((nodes + 3, 6)), np.empty(6)  # the last, all, and the first two once more
-    by_radius, turn = np.empty(steps), np.empty((steps, 2))
-    cubic = np.empty((every, 4))
-    for q in range(every):
-        t = q / every
-        cubic[q, 0], cubic[q, 1] = -t * (t - 1) * (t - 2) / 6, (t * t - 1) * (t - 2) / 2
-        cubic[q, 2], cubic[q, 3] = -t * (t + 1) * (t - 2) / 2, t * (t * t - 1) / 6
-    for k in range(rings):
-        for m in range(nodes):
-            _one(lens, cones[k], ways[k, m * every], start[k, m * every], rotation, shift, lines, node[m + 1])
-        node[0], node[nodes + 1], node[nodes + 2] = node[nodes], node[1], node[2]
-        for m in range(1, nodes + 3):  # lines begin anew after the last: between nodes they must not
-            node[m, 0] -= lines * math.floor((node[m, 0] - node[m - 1, 0]) / lines + 0.5)
-        m, q = -1, every - 1
-        for p in range(steps):
-            q += 1
-            if q == every:
-                m, q = m + 1, 0
-            near = start[k, p]
-            a, b, c, d = cubic[q, 0], cubic[q, 1], cubic[q, 2], cubic[q, 3]
-            for i in range(6):
-                own[i] = a * node[m, i] + b * node[m + 1, i] + c * node[m + 2, i] + d * node[m + 3, i]
-            if own[3] != own[3] or near != near:
-                _one(lens, cones[k], ways[k, p], near, rotation, shift, lines, own)
-            own[0] -= lines * math.floor(own[0] / lines)
-            for i in range(4):
-                by_generator[i, k, p] = own[i]
-            turn[p, 0], turn[p, 1] = own[4], own[5]
-            # how fast the step leads away from the axis
-            wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
-            x, y = cones[k, 0] + near * wx - shift[0], cones[k, 1] + near * wy - shift[1]
-            u, v = _across(rotation, x, y, cones[k, 2] + near * wz - shift[2])
-            wu, wv = _across(rotation, wx, wy, wz)
-            by_radius[p] = (u * wu + v * wv) / (u * u + v * v)  # radii a mm
-        for p in range(steps):
-            q = (p + 1) % steps
-            a, b = by_generator[0, k, p], by_generator[0, k, q]
-            if not (a == a and b == b):
-                continue
-            span = b - a
-            span -= lines * math.floor(span / lines + 0.5)
-            if span == 0.0:
-                continue
-            before, after = by_generator[1, k, p], by_generator[1, k, q]
-            slope = (after - before) / span
-            low, high = (a, a + span) if span > 0 else (a + span, a)
-            for j in range(math.ceil(low), math.floor(high) + 1):
-                part = (j - a) / span
-                by_line[0, k, j % lines] = before + part * (after - before)
-                own_a = (by_generator[3, k, p] - slope * by_generator[2, k, p]) / by_radius[p]
-                own_b = (by_generator[3, k, q] - slope * by_generator[2, k, q]) / by_radius[q]
-                by_line[1, k, j % lines] = own_a + part * (own_b - own_a)
-                own_a, own_b = turn[p, 1] - slope * turn[p, 0], turn[q, 1] - slope * turn[q, 0]
-                by_line[2, k, j % lines] = own_a + part * (own_b - own_a)
-
-
-@jit
-def _across(rotation, x, y, z):  # type: ignore[no-untyped-def]
-    """A vector of the head's frame along the pipe's x and y."""
-    return (
-        x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0],
-        x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1],
-    )
-
-
-@jit
-def _one(lens, cone, way, near, rotation, shift, lines, out):  # type: ignore[no-untyped-def]
-    """Of a generator that meets the wall `near` mm from the vertex: line and sample, how both change with a mm, and how
-    with a radian of the half-angle where the wall stays."""
-    x, y, z = cone[0] + near * way[0], cone[1] + near * way[1], cone[2] + near * way[2]
-    step = FARTHER * near
-    out[0], out[1] = on_line(lens, x, y, z)
-    _moved(lens, x + step * way[0], y + step * way[1], z + step * way[2], lines, step, out, 2)
-    cosine, sine = math.cos(cone[6]), math.sin(cone[6])
-    a, b, c = cosine * way[0] - cone[3], cosine * way[1] - cone[4], cosine * way[2] - cone[5]  # how the way turns
-    u, v = _across(rotation, x - shift[0], y - shift[1], z - shift[2])
-    wu, wv = _across(rotation, way[0], way[1], way[2])
-    tu, tv = _across(rotation, a, b, c)
-    back = (u * tu + v * tv) / (u * wu + v * wv)
-    step /= sine
-    x, y, z = x + step * (a - back * way[0]), y + step * (b - back * way[1]), z + step * (c - back * way[2])
-    _moved(lens, x, y, z, lines, FARTHER, out, 4)
-
-
-@jit
-def _moved(lens, x, y, z, lines, by, out, at):  # type: ignore[no-untyped-def]
-    """Writes how line and sample change from out[:2] to those of a point, which is `by` away."""
-    line, place = on_line(lens, x, y, z)
-    moved = line - out[0]
-    moved -= lines * math.floor(moved / lines + 0.5)
-    out[at], out[at + 1] = moved / by, (place - out[1]) / by
 
 
 def _three(v: FloatArray) -> tuple[float, float, float]:

@@ -43,7 +43,7 @@ HUNG_TIMES = 20.0  # as long as frames usually take, likewise, ..
 HUNG_LEAST_S = 1.0  # .. but not sooner than this: a busy machine is no hang
 USUAL_FRAMES = 31  # whose median is what frames usually take
 STOPPED_S = 0.25  # between two looks; found stopped twice, a worker is replaced
-START_S = 180.0  # compiling for the first time included
+START_S = 180.0  # of a machine that is busy, and slow to import
 WARM_START_S = 5.0  # for a spare that is called up: it has only its setup to do
 NOT_HUNG = ("R", "D")  # not let run, or waiting for a disk: the next one would be no better off
 LOOK_S = 0.02  # between two looks at who is still there
@@ -294,7 +294,7 @@ class WorkerPool:
             self.results.poll(20)
             happened += self._receive()
             if waited > UNREADY_S and not self.ready:
-                break  # still compiling, and with nothing in hand
+                break  # still starting, and with nothing in hand
             for worker in ended:
                 happened += self._bury(worker, "ended")
         for worker in list(self._workers.values()):
@@ -369,7 +369,7 @@ class WorkerPool:
         # The worker binds both. A connecting PUSH queues at once, a bound one does not; and libzmq ends a process that
         # has no descriptor left for who connects to it over ipc (4.3.5, ipc_listener.cpp:297).
         tasks.connect(link["tasks"])
-        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         try:
             process = subprocess.Popen(
                 [*self._kind.command, json.dumps(link)],

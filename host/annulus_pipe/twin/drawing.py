@@ -6,9 +6,9 @@ import queue
 import threading
 from typing import NamedTuple
 
+from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.twin.driver import Delivered
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.stretch import U8
 
 
 class DrawingJob(NamedTuple):
@@ -20,7 +20,7 @@ class DrawingJob(NamedTuple):
 class Drawing:
     """As many frames at once as there are threads, and as many more that wait."""
 
-    def __init__(self, renderer: Renderer, slots: U8, threads: int) -> None:
+    def __init__(self, renderer: Renderer, slots: Image, threads: int) -> None:
         """slots : (N, H, W), where frames go."""
         self._renderer, self._slots = renderer, slots
         self._jobs: queue.Queue[DrawingJob | None] = queue.Queue(threads)

@@ -44,7 +44,7 @@ READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
 TRIGGERED_READOUT_US = 14_300.0  # of the Global Shutter camera
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
-_START_S = 300.0  # the first start of a fresh install compiles the renderer, on a small machine too
+_START_S = 300.0  # 2 on a quiet machine; one that is itself emulated takes minutes to import the twin
 HEADS: Mapping[str, Callable[[int], World]] = {  # by seed; and those of wings
     "ring": demo_world,
     "stereo": stereo_world,
@@ -289,10 +289,6 @@ def run_head(
     if buried_m is not None:
         ground = merged("lights")["ground"].along(1000 * buried_m, seed)
         world = replace(world, travel_mm=1000 * buried_m, ground=ground)
-    for number in range(
-        len(world.cameras)
-    ):  # compiles here, where who waits can be told, and not in the head's process
-        Renderer(world, number).render(world.pose(0.0), 0.0, 1.0, rows=(0, 8))
     with start_head(world, fps, faults, seed=seed, board=board, pins=pins, trigger=trigger) as running:
         if out is None:
             print(head_toml(running, world), flush=True)
@@ -325,7 +321,7 @@ def sustainable_fps(world: World, threads: int | None = None, frames: int = 8) -
     """Flashes of the projector a second that this machine renders now, each as every camera of the world sees it, on as
     many threads as the head would use.
 
-    Measured over the world's whole travel, after a first frame that may compile. It leaves nothing for anybody else.
+    Measured over the world's whole travel. It leaves nothing for anybody else.
     """
     renderers = [Renderer(world, number) for number in range(len(world.cameras))]
     for renderer in renderers:

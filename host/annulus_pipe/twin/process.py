@@ -112,8 +112,6 @@ class TwinHead:
         seed = int(order["seed"])
         self.counts = Counter({name: 0 for name in COUNTED})
         renderers = [Renderer(self.world, number) for number in range(len(self.world.cameras))]
-        for renderer in renderers:
-            renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
         self.board = open_board(str(order["board"]))
         self.boot = 1 + seed % 200
         pins, trigger = pins_from(order.get("pins", {})), str(order.get("trigger", "none"))

@@ -1,36 +1,14 @@
-"""Where pixels look: rays of any camera, met with the plain cylinder."""
+"""Where pixels look: rays of any camera, as host/native/twin_rays.c meets them with the plain cylinder."""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.geometry.cone import intersect_cylinder
-from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.stretch import (
-    CX,
-    CY,
-    CZ,
-    F32,
-    LEVEL,
-    NX,
-    NY,
-    NZ,
-    OPEN,
-    PLAIN,
-    WX,
-    WY,
-    WZ,
-    PixelRun,
-    Real,
-    S,
-    X,
-    Y,
-    Z,
-    jit,
-)
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.twin.worlds.world import World
 
 
@@ -43,19 +21,11 @@ class HeadPosition(Protocol):
     def to_pipe(self, points: FloatArray, z_mm: float) -> FloatArray: ...
 
 
-class PipeCamera(NamedTuple):
-    """A camera in the pipe."""
-
-    rays: F32  # (3, H, W), see `ray_table`
-    rotation: F32  # (3, 3), pipe to camera
-    station: F32  # (3,) mm
-
-
-def eye_at(rays: F32, seen: HeadCamera, pose: HeadPosition, z_mm: float) -> PipeCamera:
-    """Of one of the head's cameras. pose : the head's, that is its first camera's."""
+def eye_at(seen: HeadCamera, pose: HeadPosition, z_mm: float) -> Float32Array:
+    """(12,) turn from the pipe's frame into that of one of the head's cameras, and where that stands, mm. pose : the
+    head's, that is its first camera's."""
     turn, centre = placed(seen)
-    station = pose.to_pipe(centre[None], z_mm)[0].astype(np.float32)
-    return PipeCamera(rays, (turn @ pose.rotation).astype(np.float32), station)
+    return np.concatenate([(turn @ pose.rotation).ravel(), pose.to_pipe(centre[None], z_mm)[0]], dtype=np.float32)
 
 
 def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
@@ -64,45 +34,9 @@ def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
     return turn, -np.array(seen.translation_mm) @ turn
 
 
-@jit
-def meet_cylinder(part: PixelRun, u0: int, eye: PipeCamera, starts: F32 | None, radius: Real) -> None:
-    """Every pixel's ray in the pipe frame, and where it meets r = radius. starts: see `ray_table`."""
-    scratch, v, n = part.scratch, part.v, part.n
-    rotation, station = eye.rotation, eye.station
-    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    sx, sy, sz = station[0], station[1], station[2]
-    one, zero = np.float32(1.0), np.float32(0.0)
-    ray_x, ray_y = eye.rays[0, v, u0 : u0 + n], eye.rays[1, v, u0 : u0 + n]
-    for u in range(n):
-        dx, dy = ray_x[u], ray_y[u]
-        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
-        cx, cy, cz = sx, sy, sz
-        if starts is not None:  # decided when compiled
-            ox, oy, oz = starts[0, v, u0 + u], starts[1, v, u0 + u], starts[2, v, u0 + u]
-            dz *= starts[3, v, u0 + u]
-            cx += r00 * ox + r10 * oy + r20 * oz
-            cy += r01 * ox + r11 * oy + r21 * oz
-            cz += r02 * ox + r12 * oy + r22 * oz
-            scratch[CX + u], scratch[CY + u], scratch[CZ + u] = cx, cy, cz
-        wx = r00 * dx + r10 * dy + r20 * dz
-        wy = r01 * dx + r11 * dy + r21 * dz
-        wz = r02 * dx + r12 * dy + r22 * dz
-        a = wx * wx + wy * wy + np.float32(1e-7)
-        b = cx * wx + cy * wy
-        c = cx * cx + cy * cy - radius * radius
-        s = (np.sqrt(max(b * b - a * c, zero)) - b) / a
-        x, y = cx + s * wx, cy + s * wy
-        scratch[WX + u], scratch[WY + u], scratch[WZ + u] = wx, wy, wz
-        scratch[S + u], scratch[X + u], scratch[Y + u], scratch[Z + u] = s, x, y, cz + s * wz
-        scratch[NX + u], scratch[NY + u], scratch[NZ + u] = x / radius, y / radius, zero
-        scratch[OPEN + u], scratch[LEVEL + u], scratch[PLAIN + u] = one, zero, s
-
-
 def ray_table(
     world: World, seen_by: HeadCamera, coordinate: Callable[[FloatArray], FloatArray] | None
-) -> tuple[F32, F32 | None]:
+) -> tuple[Float32Array, Float32Array | None]:
     """Where every pixel looks: the table all cameras have, and what one without a single centre has besides.
 
     (3, H, W): x, y of every pixel's unit ray, and how its cot(theta) on the wall changes with a pixel: a ring on the

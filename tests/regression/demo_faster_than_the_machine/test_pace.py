@@ -27,7 +27,6 @@ def test_the_page_of_a_simulated_head_runs_at_a_rate_that_holds(
 
     for name, parts in {  # of modules that take seconds to import, and are not asked for more
         "annulus_pipe.demo": {"measure_pace": lambda world: SimpleNamespace(fps=3.5, why="what 2 cores hold")},
-        "annulus_pipe.reprocess.ahead": {"make_ready": lambda *_: None},
         "annulus_pipe.twin.worlds": {"demo_world": lambda: SimpleNamespace(calibration=lambda: None)},
     }.items():
         monkeypatch.setitem(sys.modules, name, SimpleNamespace(**parts))

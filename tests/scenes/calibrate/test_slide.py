@@ -4,11 +4,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli.pattern import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
 GIVEN = [
+    "pattern",
     "design",
     "--pipe-mm",
     "152.4",

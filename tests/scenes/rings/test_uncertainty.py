@@ -6,7 +6,6 @@ import numpy as np
 from drawn import PIPE_MM, Paint, calibration, draw
 
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.numeric.jit import middle, ranked
 from annulus_pipe.rings.reconstructor import Reconstructor
 
 POSE = Pose(0.012, -0.01, 1.0, -1.5)
@@ -40,12 +39,3 @@ def test_what_the_calibration_leaves_open_is_added_and_what_a_pose_takes_back_is
     assert together.max() < 0.3  # the camera stays where it is, so not all of it
     assert first[0].min() > 0.4 and first[0].min() > 15 * first[1:].max()
     assert not Reconstructor(cal, 72)._calibrated.any()
-
-
-def test_the_compiled_selection_is_a_sort():
-    rng = np.random.default_rng(3)
-    for size in (1, 2, 3, 10, 101):
-        values = np.round(rng.normal(size=size), 1)
-        assert middle(values.copy(), size) == np.sort(values)[size // 2]
-        assert ranked(values.copy(), size, size - 1) == values.max()
-    assert middle(np.empty(1), 0) == 0.0

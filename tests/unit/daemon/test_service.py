@@ -59,10 +59,10 @@ def test_a_head_is_ready_when_it_is_up_and_says_when_it_ends(systemd: Systemd) -
 
 def test_what_it_waits_for_before_it_is_ready_is_its_status(systemd: Systemd) -> None:
     service = systemd.service()
-    service.event("compiling", "compiling the measuring loops, once")
+    service.event("priority", "frames are not put first here")
     service.state(State.IDLE, "")
     service.event("link", "line 0 fell silent")  # its state is more to be known
-    assert systemd.heard() == [["STATUS=compiling the measuring loops, once"], ["READY=1", "STATUS=idle"]]
+    assert systemd.heard() == [["STATUS=frames are not put first here"], ["READY=1", "STATUS=idle"]]
     service.close()
 
 

@@ -31,11 +31,10 @@ def settings(name: str) -> dict[str, list[str]]:
     return found
 
 
-def test_the_daemon_has_its_devices_its_priority_and_its_compiler() -> None:
+def test_the_daemon_has_its_devices_and_its_priority() -> None:
     unit = settings(UNIT)
     assert {f"char-{name} rw" for name in NEEDED} <= set(unit["DeviceAllow"])
     assert unit["LimitRTPRIO"] == ["20"] and "RestrictRealtime" not in unit, "SCHED_FIFO for frames and labels"
-    assert "MemoryDenyWriteExecute" not in unit, "numba compiles"
     assert "AF_NETLINK" in unit["RestrictAddressFamilies"][0], "libcamera and libusb hear what is plugged in"
     assert "PrivateDevices" not in unit and "PrivateNetwork" not in unit
     refused = [one for one in unit["SystemCallFilter"] if one.startswith("~")]

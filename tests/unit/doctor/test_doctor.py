@@ -20,8 +20,8 @@ from annulus_pipe.doctor import drive, lines, machine
 from annulus_pipe.doctor.drive import disk
 from annulus_pipe.doctor.eyes import cameras
 from annulus_pipe.doctor.lines import ports, rule, users
-from annulus_pipe.doctor.machine import clock, kernels, memory
-from annulus_pipe.numeric import compiling
+from annulus_pipe.doctor.machine import clock, loops, memory
+from annulus_pipe.numeric import native
 from annulus_pipe.shipped import UDEV, shipped
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -201,11 +201,10 @@ def test_memory_is_held_against_the_frames_in_hand(root: Path) -> None:
     assert memory(root)[0].ok is None
 
 
-def test_loops_not_compiled_yet_are_no_fault_but_nowhere_to_keep_them_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiling, "is_ready", lambda _: False)
-    assert kernels()[0].ok is None and "have doctor compile it" in kernels()[0].text
-    monkeypatch.setattr(compiling, "folder", lambda: None)
-    assert kernels()[0] == CheckRow("compiled", False, compiling.NOWHERE)
+def test_loops_that_are_not_there_are_a_fault_and_those_that_are_have_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert loops()[0].ok is True and native.level() in loops()[0].text
+    monkeypatch.setattr(machine.native, "level", lambda: native.shipped("loops-of-another-kind.so"))
+    assert loops()[0].ok is False and "`make setup`" in loops()[0].text
 
 
 def test_the_command_is_a_table_or_json_and_its_status_says_whether_something_is_wrong(

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import annulus_pipe
-from annulus_pipe.numeric.native import DOORS, Door
+from annulus_pipe.numeric import native
+from annulus_pipe.numeric.native import DOORS, LoopDoor
+from annulus_pipe.vocabulary import AnnulusError
 
 NATIVE = Path(__file__).resolve().parents[3] / "host/native"
 OF_C = {
@@ -54,7 +56,7 @@ def test_every_door_is_declared_as_its_function_is_in_c() -> None:
 
 
 def test_an_array_that_is_not_as_declared_is_refused_before_any_memory_is_touched() -> None:
-    copied = Door("no_such_function", "f8[n,3] points", "i8[n] rank", "f8[n]! out", "f4[n]? weight")
+    copied = LoopDoor("no_such_function", "f8[n,3] points", "i8[n] rank", "f8[n]! out", "f4[n]? weight")
     points, rank, out = np.zeros((4, 3)), np.zeros(4, np.int64), np.zeros(4)
     wrong = {
         "a size that disagrees": (points, rank[:3], out, None),
@@ -72,3 +74,9 @@ def test_an_array_that_is_not_as_declared_is_refused_before_any_memory_is_touche
             pytest.fail(what)
     with pytest.raises(ValueError, match="3 arguments, expected 4"):
         copied(points, rank, out)
+
+
+def test_a_library_of_other_sources_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "sources", lambda: "0123456789abcdef")
+    with pytest.raises(AnnulusError, match=r"loops-.*: was built from other sources .* Run `make setup`\.$"):
+        native.library.__wrapped__()

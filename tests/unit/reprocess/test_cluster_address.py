@@ -43,7 +43,7 @@ def test_files_of_tls_go_with_tls() -> None:
 
 def test_a_difference_is_told_by_name() -> None:
     mine = dict(measured_with())
-    assert differing(mine, mine) == "" and {"annulus", "numpy", "cv2", "numba"} <= mine.keys()
+    assert differing(mine, mine) == "" and {"annulus", "numpy", "cv2", "loops"} <= mine.keys()
     assert differing(mine, {**mine, "numpy": "1.0"}) == f"numpy 1.0 for {mine['numpy']}"
 
 

@@ -61,7 +61,7 @@ def test_every_bit_comes_out() -> None:
     out, about = unpacked(packed(PROFILES, ABOUT), "a file")
     assert [address(one) for one in out] == [address(one) for one in PROFILES]
     assert {name: about[name] for name in ABOUT} == ABOUT
-    for one in out:  # to compiled loops another layout, or one that is read-only, is another type
+    for one in out:  # as who measured them had them
         arrays = [getattr(one, name) for name in ("points_mm", "colour", "ring", "direction", "sigma_mm", "seen_by")]
         assert all(array.flags.c_contiguous and array.flags.writeable for array in arrays)
     assert unpacked(packed((), {}), "a file")[0] == ()

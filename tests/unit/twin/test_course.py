@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.twin.course import FAR_MM, InSpace, entry, passed, trace, tube_of
+from annulus_pipe.twin.course import InSpace, Tube, entry, leaves, passed, tube_of
 from annulus_pipe.twin.worlds import WORLDS, World
 from annulus_pipe.twin.worlds.course import Course, WorldJoint, WorldOpening, WorldPiece, across
 from annulus_pipe.twin.worlds.fittings import FITTINGS
@@ -18,17 +18,16 @@ R = 76.2
 AXIS = (0.0, 0.0, 0.0)
 
 
-def tube(*pieces: WorldPiece, **others: object) -> object:
+def tube(*pieces: WorldPiece, **others: object) -> Tube:
     world = WORLDS["butt"](1)
     course = Course(pieces, **others)  # type: ignore[arg-type]
     return tube_of(World(world.camera, world.projector, R, course=course, travel_mm=60.0, texture=False))
 
 
-def hit(pipe: object, start: tuple[float, float, float], clock_deg: float, lean_deg: float) -> np.ndarray:
+def hit(pipe: Tube, start: tuple[float, float, float], clock_deg: float, lean_deg: float) -> np.ndarray:
     lean = math.radians(lean_deg)
     way = math.sin(lean) * across(clock_deg) + np.array([0.0, 0.0, math.cos(lean)])
-    away, _ = trace(pipe, start, tuple(way), FAR_MM, 0)
-    return np.asarray(start) + away * way
+    return start + leaves(pipe, np.asarray(start), way, 500.0) * way
 
 
 @pytest.mark.parametrize("lean_deg", [14.0, 25.0, 60.0])

@@ -9,8 +9,18 @@ import pytest
 
 from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.numeric import native
+from annulus_pipe.shipped import LOOPS, shipped
 from annulus_pipe.twin.render import Renderer
-from annulus_pipe.twin.worlds import World, WorldFeature, clean_world, demo_world, fisheye_camera
+from annulus_pipe.twin.worlds import (
+    World,
+    WorldFeature,
+    clean_world,
+    demo_world,
+    every_world,
+    fisheye_camera,
+    translucent,
+)
 
 CLEAN = replace(clean_world(), rods=()).scaled(832)
 
@@ -172,3 +182,23 @@ def test_the_wall_map_is_the_wall() -> None:
     row, column = rng.integers(world.radius_map.shape[0], size=500), rng.integers(1440, size=500)
     truth = world.deviation(column * 0.25, row * 0.4)
     np.testing.assert_allclose(world.radius_map[row, column], truth, atol=2e-7)
+
+
+@pytest.mark.deep(but=1)
+@pytest.mark.parametrize("name", ["demo", "mirror-3inch", "water", "fringe"])
+def test_a_frame_has_the_same_bits_from_every_library(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = every_world()[name](7).scaled(320)
+    if name == "demo":
+        world = translucent(world)
+    renderer, z_mm = Renderer(world), 0.4 * world.travel_mm
+    best = native.library().processor_level()
+    drawn = []
+    for level, name_of_it in native.LEVELS.items():
+        if level > best or (level == 0) != (best == 0):
+            continue
+        loaded = native._load(shipped(f"{LOOPS}{name_of_it}.so"))
+        monkeypatch.setattr(native, "library", lambda loaded=loaded: loaded)
+        for door in native.DOORS:
+            monkeypatch.setattr(door, "_function", None)
+        drawn.append([renderer.render(world.pose(z_mm), z_mm, *lamps) for lamps in ((1.0, 0.0), (0.3, 0.7))])
+    assert len(drawn) == max(best - 1, 1) and all(np.array_equal(one, drawn[0]) for one in drawn)

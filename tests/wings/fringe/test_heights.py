@@ -40,6 +40,23 @@ def test_samples_without_noise_are_exact() -> None:
     np.testing.assert_allclose(found.height_mm, h, atol=1e-6)
 
 
+def test_harmonics_are_followed_with_the_slope_that_they_have() -> None:
+    grid = GRID.some(np.flatnonzero(GRID.base[:, 0] < 12)[::40])
+    slide = replace(SLIDE, harmonics=(0.1, -0.05, 0.02, 0.03))
+    own = FringeView.of(LEFT, slide, UNEVEN[:, None] * [1.0, 0.0, 0.0])
+    h, step = np.linspace(-5, 5, len(grid.base)), 1e-4
+
+    def wave(at: FloatArray) -> FloatArray:
+        return np.stack([own.wave(own.phase(grid.at(at), n)) for n in range(len(UNEVEN))])
+
+    found = heights(own, (100 + 70 * wave(h))[..., None], grid, noise=(1.0, 0.0, 0.0), tolerance_mm=1e-9)
+    np.testing.assert_allclose(found.height_mm, h, atol=1e-6)
+    tangent = 70 * (wave(h + step) - wave(h - step)) / (2 * step)
+    design = np.stack([np.ones_like(tangent), wave(h), tangent], axis=-1)
+    information = np.einsum("npi,npj->pij", design, design)
+    np.testing.assert_allclose(found.sigma_mm, np.sqrt(np.linalg.inv(information)[:, 2, 2]), rtol=1e-4)
+
+
 @pytest.mark.parametrize("moved", [EVEN, UNEVEN])
 def test_sigma_is_the_scatter(moved: FloatArray) -> None:
     images = spline(drawn(moved, 1.5, noise=1.5, texture=0.3))

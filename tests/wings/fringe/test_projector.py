@@ -1,10 +1,13 @@
 """The slide as calibration.json says it."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from annulus_pipe.wings.fringe.measure import FringeProjector
-from annulus_pipe.wings.fringe.measure.projector import wave
+from annulus_pipe.wings.fringe.measure import FringeProjector, bore, track
+from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX
 
 STRIPES = {
     "kind": "stripes",
@@ -28,14 +31,15 @@ def test_rings_are_even_on_the_wall_they_are_drawn_for() -> None:
     np.testing.assert_allclose(np.diff(slide.phase(wall)), 2 * np.pi)
 
 
-def test_the_wave_has_its_harmonics_and_their_slope() -> None:
-    numbers = FringeProjector.from_dict({**STRIPES, "harmonics": [0.1, -0.05, 0.02, 0.03]}).numbers
-    for phase in np.linspace(-3, 3, 7):
-        value, slope, _ = wave(numbers, phase)
-        k = np.exp(1j * phase * np.array([1, 2, 3]))
-        assert value == pytest.approx(float((k * [1, 0.1 + 0.05j, 0.02 - 0.03j]).real.sum()))
-        step = wave(numbers, phase + 1e-6)[0] - wave(numbers, phase - 1e-6)[0]
-        assert slope == pytest.approx(step / 2e-6, abs=1e-6)
+def test_the_loops_in_c_count_as_python_does() -> None:
+    native = Path(__file__).resolve().parents[3] / "host/native"
+    slide, camera, wall = ((native / f"fringe_{one}").read_text() for one in ("projector.h", "camera.h", "bore.c"))
+    assert re.findall(r"#define HARMONICS (\d+)", slide) == [str(HARMONICS_MAX)]
+    assert re.findall(r"#define BLOCK (\d+)", camera) == [str(track.BLOCK)]
+    names = re.findall(r"enum \{(.*)\}", camera)[0].replace(" ", "").split(",")
+    assert [getattr(track, name) for name in names] == list(range(len(names)))
+    fields = re.findall(r"typedef struct \{\s*Numbers ([^;]*);\s*\} ByEye;", wall)[0]
+    assert fields.count(",") + 1 == bore.SUMS
 
 
 @pytest.mark.parametrize(

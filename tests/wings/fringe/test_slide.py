@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from annulus_pipe.cli.pattern import app
+from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure import FringeProjector, ring_slide
 
@@ -38,6 +38,7 @@ def test_the_command_draws_it_to_scale(tmp_path: Path) -> None:
     run = CliRunner().invoke(
         app,
         [
+            "pattern",
             "design",
             "--fringe",
             "--pipe-mm",
@@ -71,5 +72,5 @@ def test_a_design_that_cannot_be_is_said_in_a_line() -> None:
         ring_slide(101.6, 8.0, 60.0, (38.0, 22.0), 12.0)
     with pytest.raises(AnnulusError, match="2 or more"):
         ring_slide(101.6, 200.0, 60.0, (22.0, 38.0), 12.0)
-    said = CliRunner().invoke(app, ["design", "--fringe", "--pipe-mm", "200", "-o", "x"])
+    said = CliRunner().invoke(app, ["pattern", "design", "--fringe", "--pipe-mm", "200", "-o", "x"])
     assert isinstance(said.exception, AnnulusError) and "--period-mm" in str(said.exception)

@@ -42,7 +42,6 @@ def test_a_window_is_the_same_bits_elsewhere_and_is_measured_once(tmp_path: Path
         assert plate.windows == 2
         return plate, plate.made
 
-    measured(in_process)  # loops compiled here and now would be others in the last bit
     whole, _ = measured(in_process)
     apart, made = measured(Processes(1, apart=True), place)
     assert same(apart, whole) and made == 2

@@ -12,7 +12,7 @@ from typing import Any
 
 from annulus_pipe.cli.limits_file import load_limits
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import method_for, open_job, reprocess, warm_up
+from annulus_pipe.reprocess import open_job, reprocess
 from annulus_pipe.wall.conformity import judge
 from tools.bench.scenes import __doc__ as purpose
 from tools.bench.scenes.blind import FRAMES, blind_checks, draw
@@ -61,9 +61,6 @@ def main(arguments: list[str]) -> int:
         return 2
     wanted = set(asked.only or names)
     score_real = load(scorer)
-    for scene in scenes[:1]:
-        calibration = open_job(scene, scene / "calibration.json").calibration
-        warm_up(method_for(calibration), calibration)  # compilers are no part of a scene's seconds
     with tempfile.TemporaryDirectory() as scratch:
         results = asked.keep or Path(scratch)
         table, scores, missed = [], [], 0

@@ -47,8 +47,8 @@ class Projector:
 
 
 class WingLight(Protocol):
-    """A projector that a wing brings (`lights` of hooks.py), in place of a slide of slits: a dataclass, with a class
-    `Slide` of what it draws with. peak : grey levels above black, lit for nominal_us."""
+    """A projector that a wing brings (`lights` of hooks.py), in place of a slide of slits: a dataclass.
+    peak : grey levels above black, lit for nominal_us."""
 
     rings: ClassVar[int]
 

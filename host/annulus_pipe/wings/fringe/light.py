@@ -8,15 +8,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from annulus_pipe.geometry.calibration import STILL, Calibration, matrix_of, vector_of
-from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.twin.lights.projector import Beam
+from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.twin.rays import HeadPosition
-from annulus_pipe.twin.stretch import F32, LEVEL, LIT, PixelRun, X, Y, Z, jit
 from annulus_pipe.twin.worlds.world import World, tupled
 from annulus_pipe.wings.fringe.measure import (
     FringeProjector,
@@ -28,56 +26,10 @@ from annulus_pipe.wings.fringe.measure import (
 )
 
 
-class FringeTable(NamedTuple):
-    """The slide in one frame."""
-
-    rotation: F32  # (3, 3), pipe to slide
-    numbers: F32  # kind, two rates and phase as `fringe.projector` has them, then harmonics
-    field: F32  # (2,) tangents: of rings where they begin and end, of stripes half the field's sides
-    modulation: np.float32
-    colour: F32  # (3,) as red, green, blue pixels see it
-
-
-@jit
-def through_fringes(part: PixelRun, beam: Beam, table: FringeTable) -> None:
-    scratch, spread, v, odd, numbers = part.scratch, part.spread, part.v, part.odd, table.numbers
-    r00, r01, r02 = table.rotation[0, 0], table.rotation[0, 1], table.rotation[0, 2]
-    r10, r11, r12 = table.rotation[1, 0], table.rotation[1, 1], table.rotation[1, 2]
-    r20, r21, r22 = table.rotation[2, 0], table.rotation[2, 1], table.rotation[2, 2]
-    vx, vy, vz = beam.centre[0], beam.centre[1], beam.centre[2]
-    a, b, phase0, rings = numbers[1], numbers[2], numbers[3], numbers[0] > 0
-    near, far, modulation = table.field[0], table.field[1], table.modulation
-    even, other = table.colour[(v & 1) + odd], table.colour[(v & 1) + 1 - odd]
-    one, zero, half = np.float32(1.0), np.float32(0.0), np.float32(0.5)
-    for u in range(part.n):
-        px, py, pz = scratch[X + u] - vx, scratch[Y + u] - vy, scratch[Z + u] - vz
-        x, y = r00 * px + r01 * py + r02 * pz, r10 * px + r11 * py + r12 * pz
-        z = r20 * px + r21 * py + r22 * pz
-        open_, phase = zero, zero
-        if z > 0:
-            rho = np.sqrt(x * x + y * y)
-            if rings:
-                open_ = one if near * z < rho < far * z else zero
-                phase = a * z / max(rho, np.float32(1e-6)) + phase0
-            else:
-                open_ = one if abs(x) < near * z and abs(y) < far * z else zero
-                phase = (a * x + b * y) / z + phase0
-        rate = beam.blur * spread[u]
-        left = np.exp(-half * rate * rate)
-        light = one + modulation * left * np.cos(phase)
-        for k in range((numbers.size - 4) // 2):
-            order = np.float32(k + 2)
-            more = modulation * np.exp(-half * order * order * rate * rate)
-            light += more * (numbers[4 + 2 * k] * np.cos(order * phase) + numbers[5 + 2 * k] * np.sin(order * phase))
-        share = (other if u & 1 else even) * open_ * max(light, zero) / (one + modulation)
-        scratch[LEVEL + u] = scratch[LIT + u] * share
-
-
 class FringeSlide:
     """The light of one of a world's `Fringes`. `axis` : of the slide's lens; `rims` : what it may light, rad."""
 
-    Table = FringeTable
-    kernel = staticmethod(through_fringes)
+    kind = 1
     by_coordinate = True
 
     def __init__(self, light: "Fringes", number: int) -> None:
@@ -91,18 +43,16 @@ class FringeSlide:
         self.rims = (wide[0], wide[1]) if rings else (0.0, math.atan(math.hypot(*(math.tan(w) for w in wide))))
         self.brightest = 1.0 / light.reach_mm**2
         self._rotation = rotation
-        self._numbers = slide.numbers.astype(np.float32)
-        self._field = np.tan(wide).astype(np.float32)
-        self._modulation = np.float32(light.modulation)
-        self._colour = np.array(light.colour, np.float32)
+        numbers = [*np.tan(wide), light.modulation, *light.colour, *slide.numbers]
+        self._numbers = np.array(numbers, np.float32)
 
     def coordinate(self, points: FloatArray) -> FloatArray:
         """(N, 3) mm in the head's frame -> (N,) rad: what the slide draws along."""
         return self._slide.phase(points)
 
-    def table(self, pose: HeadPosition, z_mm: float) -> FringeTable:
-        turn = (self._rotation @ pose.rotation).astype(np.float32)
-        return FringeTable(turn, self._numbers, self._field, self._modulation, self._colour)
+    def table(self, pose: HeadPosition, z_mm: float) -> Float32Array:
+        """The slide in one frame, as host/native/twin_fringes.c lists it."""
+        return np.concatenate([(self._rotation @ pose.rotation).ravel(), self._numbers], dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +78,6 @@ class Fringes:
     colour: tuple[float, float, float] = (0.95, 1.0, 0.9)
     nominal_us: float = 5000.0
     rings: ClassVar[int] = 0
-    Slide: ClassVar[type] = FringeSlide
 
     @property
     def innermost(self) -> float:

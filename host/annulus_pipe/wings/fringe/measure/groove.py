@@ -24,20 +24,16 @@ from scipy.ndimage import find_objects, label
 from scipy.optimize import least_squares
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus_pipe.numeric.jit import jit
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import TUKEY, biweight, robust_sigma
-from annulus_pipe.wings.fringe.measure.bore import TERMS, place, shade
+from annulus_pipe.wings.fringe.measure.bore import FRAMES, HeadFrames
 from annulus_pipe.wings.fringe.measure.placement import EyeFrames, PlacedHead
-from annulus_pipe.wings.fringe.measure.projector import phase_and_slope, wave
-from annulus_pipe.wings.fringe.measure.track import sample, see
 
 STARTS = 4.0  # sigma above which a cell is part of a loss
 NARROW_BLURS = 6.0  # sigma of the blur: it widens a loss by two each way, and two must lie between to show a floor
 STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
 ACROSS_OF_RADIUS = 0.1  # camera or lamp beside the plane of a cross-section: what a rim hides is then off by 1 %
 MARGIN_BLURS = 5.0  # of wall on either side
-FINE = 3  # steps of the light's own grid in a cell
-REACH = 4.0  # sigma of the blur
 FRAMES_LEAST = 4
 UNKNOWNS = 6  # edges, depth, the wall's own height, modulation, blur
 SETTLED = 1e-3  # of the misfit, where rounds end
@@ -51,10 +47,48 @@ FITTED = 3  # of those, at least
 MODEL = 0.06  # of a depth: a round floor lies 8 % deeper in its middle than the steep groove most like it, a V 20 %
 LIT_BLURS = 1.2  # of floor: less cannot be told from its far wall's light
 TOLD = 0.25  # sigma of a depth over itself: more is not told
-AHEAD_MM = 0.01  # a difference in place of the lens's derivative
 ROWS_LEAST = 2  # of a loss
 DEEPER = (1.0, 2.5)  # than the map reads, where fits begin
 RIVAL = 9.0  # of chi^2 between two depths: less decides nothing
+
+_light_of_cut = door(
+    "fringe_light_of_cut",
+    "f8[k,s] slide",
+    "f8[k,3,4] projectors",
+    "f8[k,2] sight",
+    "f8[k,2] lamp",
+    "f8[3] normal",
+    "f8 radius",
+    "f8 z0",
+    "f8 step",
+    "f8 a",
+    "f8 b",
+    "f8 deep",
+    "f8 off",
+    "f8 modulation",
+    "f8[k,j] depth",
+    "f8[k,j] gain",
+    "f8[k,j] blur",
+    "f8[k,j,j]! out",
+    "f8[j,j]! room",
+    "f8[j]! taps",
+)
+_look_at_cut = door(
+    "fringe_look_at_cut",
+    *FRAMES,
+    "f8[n,3,4] projectors",
+    "f8[n,s] slide",
+    "i8[n] eye",
+    "f8[e,3,t] shading",
+    "f8 blur_px",
+    "f8[3] normal",
+    "f8 radius",
+    "f8[j] z",
+    "f8[n,j]! grey",
+    "f8[n,j]! gain",
+    "f8[n,j]! depth",
+    "f8[n,j]! blur",
+)
 
 
 class Plane(NamedTuple):
@@ -97,10 +131,8 @@ class _Cut:
         normal = np.array([math.cos(phi), math.sin(phi), 0.0])
         lamps = -np.einsum("nij,ni->nj", sight.projectors[:, :, :3], sight.projectors[:, :, 3])
         beside = np.array([-normal[1], normal[0], 0.0])
-        shape = (len(sight.cameras), len(z))
-        grey, gain, depth, blur = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
         blur_px = math.sqrt(head.blur_squared)
-        look_at_cut(sight.frames(images), head.shading, blur_px, normal, radius, z, grey, gain, depth, blur)
+        grey, gain, depth, blur = look_at_cut(sight.frames(images), head.shading, blur_px, normal, radius, z)
         flat = np.maximum(np.abs(sight.eyes @ beside), np.abs(lamps @ beside)) < ACROSS_OF_RADIUS * radius
         k = np.flatnonzero(np.isfinite(grey).all(axis=1) & flat)
         if len(k) < FRAMES_LEAST:
@@ -122,9 +154,7 @@ class _Cut:
 
     def light(self, p: FloatArray) -> FloatArray:
         """(K J, J): see `light_of_cut`, weighted."""
-        a, b, deep, off, modulation, blur = p
-        out = np.empty((*self.grey.shape, len(self.z)))
-        light_of_cut(self.plane, a, b, deep, off, modulation, self.depth, self.gain, blur * self.blur, out)
+        out = light_of_cut(self.plane, p[:5], self.depth, self.gain, p[5] * self.blur)
         return np.asarray((out * self.weight[..., None]).reshape(-1, len(self.z)))
 
     def lit(self, a: float, b: float, deep: float) -> BoolArray:
@@ -139,102 +169,32 @@ class _Cut:
         return np.asarray(free.sum(axis=0) >= FRAMES_LEAST)
 
 
-@jit
-def light_of_cut(plane, a, b, deep, off, modulation, depth, gain, blur, out):  # type: ignore[no-untyped-def]
-    """What K frames show of J rows of a cut (`Plane`), by the rows' albedo: grey = out @ albedo, out (K, J, J) is
-    written.
+def light_of_cut(
+    plane: Plane, numbers: FloatArray, depth: FloatArray, gain: FloatArray, blur: FloatArray
+) -> FloatArray:
+    """What K frames show of J rows of a cut, by the rows' albedo: (K, J, J), grey = it @ albedo.
 
-    a, b : edges of the groove, mm; deep, off : mm, its depth and what the wall lies off the radius. depth, gain, blur :
-    (K, J) of the modulation, of the light, and sigma of the blur on the wall, mm. Albedo is linear between rows.
+    numbers : edges of the groove, its depth, what the wall lies off the radius, all mm, and the modulation. depth,
+    gain, blur : (K, J) of the modulation, of the light, and sigma of the blur on the wall, mm. Albedo is linear between
+    rows.
     """
-    slide, projectors, sight, lamp = plane.slide, plane.projectors, plane.sight, plane.lamp
-    normal, radius, z0, step = plane.normal, plane.radius, plane.z0, plane.step
-    rows, fine = out.shape[1], step / FINE
-    for k in range(len(out)):
-        out[k] = 0.0
-        pad = math.ceil(REACH * blur[k, 0] / fine) + 1
-        for f in range(-pad, (rows - 1) * FINE + pad + 1):
-            t = z0 + f * fine  # where this line of sight meets the wall, or would
-            near = min(max(math.floor(f / FINE + 0.5), 0), rows - 1)
-            slope = (t - sight[k, 0]) / (radius - sight[k, 1])
-            groove = min(max((t - a) / fine + 0.5, 0.0), 1.0) * min(max((b - t) / fine + 0.5, 0.0), 1.0)
-            narrower = math.exp(-((step / blur[k, near]) ** 2))
-            for part in range(3):  # wall, floor, far wall
-                z, h, bright = t, 0.0, 1.0 - groove
-                if part > 0:
-                    if groove == 0.0:
-                        break
-                    z, h = t + slope * deep, deep
-                    floor = min(max((b - z) / fine + 0.5, 0.0), 1.0) * min(max((z - a) / fine + 0.5, 0.0), 1.0)
-                    bright = groove * floor
-                    if part == 2:
-                        z = b if slope > 0.0 else a
-                        h = min(max((z - t) / slope, 0.0), deep) if slope != 0.0 else deep
-                        bright = groove * (1.0 - floor)
-                if bright <= 0.0:
-                    continue
-                if part > 0:
-                    beam = (z - lamp[k, 0]) / (radius + h - lamp[k, 1])
-                    over = z - beam * h  # where its light came past the rim
-                    bright *= min(max((over - a) / fine + 0.5, 0.0), 1.0) * min(max((b - over) / fine + 0.5, 0.0), 1.0)
-                    if part == 2:
-                        bright *= max(beam if slope > 0.0 else -beam, 0.0)  # it stands across: cosines over the wall's
-                r = radius + off + h
-                px, py, pz = place(projectors[k], r * normal[0], r * normal[1], z)
-                phase = phase_and_slope(slide[k], px, py, pz, 0.0, 0.0, 0.0)[0]
-                bright *= 1.0 + modulation * depth[k, near] * wave(slide[k], phase)[0]
-                at = min(max((z - z0) / step, 0.0), rows - 1.0)
-                left = min(int(at), rows - 2)
-                share = at - left
-                first = max(math.ceil((t - REACH * blur[k, near] - z0) / step), 0)
-                last = min(math.floor((t + REACH * blur[k, near] - z0) / step), rows - 1)
-                # the blur's weights one from the other: an exponential each would be half of the work
-                wide = blur[k, near]
-                far = (first * step + z0 - t) / wide
-                weight = bright * fine / (wide * math.sqrt(2.0 * math.pi)) * math.exp(-0.5 * far * far)
-                ratio = math.exp(-step / wide * (far + 0.5 * step / wide))
-                for j in range(first, last + 1):
-                    out[k, j, left] += weight * (1.0 - share)
-                    out[k, j, left + 1] += weight * share
-                    weight *= ratio
-                    ratio *= narrower
-        for j in range(rows):
-            for i in range(rows):
-                out[k, j, i] *= gain[k, j]
+    rows = depth.shape[1]
+    out = np.zeros((*depth.shape, rows))
+    _light_of_cut(*plane, *numbers, depth, gain, blur, out, np.empty((rows, rows)), np.empty(rows))
+    return out
 
 
-@jit
-def look_at_cut(frames, shading, blur_px, normal, radius, z, grey, gain, depth, blur):  # type: ignore[no-untyped-def]
-    """(J,) rows of a wall in every frame of `HeadFrames`: grey level, gain and depth of the head's light, sigma of the
-    blur on the wall, mm, each written (N, J); NaN where not seen. The head's depth is that of the blurred light; this
-    one is of the light before the lens blurs it."""
-    images, lens, cameras, heads = frames.images, frames.lens, frames.cameras, frames.heads
-    projectors, slide, eye = frames.projectors, frames.slide, frames.eye
-    powers = np.empty(TERMS)
-    for k in range(len(cameras)):
-        for j in range(len(z)):
-            x, y = radius * normal[0], radius * normal[1]
-            cx, cy, cz = place(cameras[k], x, y, z[j])
-            grey[k, j] = math.nan
-            edge = shading[eye[k], 0, 2]
-            if cz * abs(cz) < edge * abs(edge) * (cx * cx + cy * cy + cz * cz):
-                continue
-            u, v = see(lens[k], cx, cy, cz)
-            ux, vx = see(
-                lens[k],
-                cx + AHEAD_MM * cameras[k, 0, 2],
-                cy + AHEAD_MM * cameras[k, 1, 2],
-                cz + AHEAD_MM * cameras[k, 2, 2],
-            )
-            grey[k, j] = sample(images, k, u, v)
-            blur[k, j] = blur_px * AHEAD_MM / math.sqrt((ux - u) ** 2 + (vx - v) ** 2)
-            hx, hy, hz = place(heads[k], x, y, z[j])
-            gain[k, j], depth[k, j] = shade(shading[eye[k]], hx, hy, hz, powers)
-            px, py, pz = place(projectors[k], x, y, z[j])
-            along = phase_and_slope(
-                slide[k], px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]
-            )[1]
-            depth[k, j] *= math.exp(0.5 * (along * blur[k, j]) ** 2)
+def look_at_cut(
+    frames: HeadFrames, shading: FloatArray, blur_px: float, normal: FloatArray, radius: float, z: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(J,) rows of a wall in every frame: grey level, gain and depth of the head's light, sigma of the blur on the
+    wall, mm, each (N, J); the grey level is NaN where not seen. The head's depth is that of the blurred light; this one
+    is of the light before the lens blurs it."""
+    shape = (len(frames.cameras), len(z))
+    out = (np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
+    seen = (*frames[:4], frames.projectors, frames.slide, frames.eye, shading)
+    _look_at_cut(*map(np.ascontiguousarray, seen), blur_px, normal, radius, np.ascontiguousarray(z), *out)
+    return out
 
 
 @dataclass(frozen=True, slots=True)

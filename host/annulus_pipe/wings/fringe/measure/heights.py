@@ -44,11 +44,11 @@ CONTINUOUS = 0.25  # of a period: neighbours nearer than that are one surface
 class FringeView:
     """One camera of a head in N frames. World to camera and to projector (N, 3, 4), eyes (N, 3) in the world."""
 
-    lens: FloatArray  # as track.see takes it
+    lens: FloatArray  # as track.look takes it
     cameras: FloatArray
     projectors: FloatArray
     eyes: FloatArray
-    slide: FloatArray  # as projector.wave takes it
+    slide: FloatArray  # FringeProjector.numbers
     drift: FloatArray  # (N,) place along the track, -1..1
 
     @staticmethod
@@ -107,9 +107,7 @@ class FringeView:
 
     def pixels(self, x: FloatArray, frame: int) -> tuple[FloatArray, FloatArray]:
         """(P, 3) mm, world -> where that frame shows them, px."""
-        u, v = np.empty(len(x)), np.empty(len(x))
-        look(self.lens, self.cameras[frame], x, u, v)
-        return u, v
+        return look(self.lens, self.cameras[frame], x)
 
     def radians_per_mm(self, points: "Points", height: FloatArray) -> FloatArray:
         """(P,) how fast the phase changes with height along the ray of the middle frame."""
@@ -237,18 +235,15 @@ def _run(
     view: FringeView, images: Float32Array, points: Points, start: FloatArray, fit: _HeightFit, residuals: bool = False
 ) -> Heights:
     count = len(points.base)
-    outcome = Outcome.of(count)
-    left = np.empty((len(images), count) if residuals else (0, 0), np.float32)
     tolerance = fit.tolerance_mm
     if tolerance is None:
         some = np.linspace(0, count - 1, min(count, SOME)).astype(int)
         rate = np.abs(view.radians_per_mm(points.some(some), start[some]))
         tolerance = TOLERANCE_RAD / float(np.median(rate[np.isfinite(rate)]))
     tracked = images.shape[2] > 1
-    nothing = np.empty((0, 0, 0), np.float32)
     frames = TrackFrames(
-        images=np.ascontiguousarray(images, np.float32) if tracked else nothing,
-        samples=np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
+        images=images.astype(np.float32, copy=False) if tracked else None,
+        samples=None if tracked else images[..., 0].astype(float),
         lens=view.lens,
         cameras=view.cameras,
         eyes=view.eyes,
@@ -257,13 +252,13 @@ def _run(
         drift=view.drift,
     )
     tracks = Tracks(points.base, _rows(points.path), _rows(points.normal), start)
-    follow(frames, tracks, fit.drift_sigma, np.array(fit.noise), tolerance, outcome, left)
+    outcome, left = follow(frames, tracks, fit.drift_sigma, fit.noise, tolerance, residuals)
     return Heights(*outcome, left)
 
 
 def _rows(vectors: FloatArray) -> FloatArray:
     """(P, 3), or (1, 3) where one stands for all."""
-    return np.ascontiguousarray(vectors[:1] if vectors.strides[0] == 0 else vectors)
+    return vectors[:1] if vectors.strides[0] == 0 else vectors
 
 
 def _again(view: FringeView, images: Float32Array, points: Points, found: Heights, fit: _HeightFit) -> Heights:

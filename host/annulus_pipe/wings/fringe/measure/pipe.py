@@ -35,7 +35,7 @@ from annulus_pipe.wings.fringe.measure.heights import PARALLAX, Heights, Points,
 from annulus_pipe.wings.fringe.measure.noise import noise_of
 from annulus_pipe.wings.fringe.measure.placement import LAW, Eye, Freedom, PlacedHead, Shots, refined
 from annulus_pipe.wings.fringe.measure.slip import FlashSlips, find_places
-from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM, Outcome
+from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM
 
 STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
 WIDER = 0.02  # of that cosine: a pose that leans
@@ -270,15 +270,14 @@ def followed(
 ) -> Heights:
     """`follow_wall` of those points, heights outwards from where the points are."""
     count = len(points.base)
-    light = HeadLight(head.shading, head.blur_squared if texture is not None else 0.0, DRIFT, np.array(noise))
+    light = HeadLight(head.shading, head.blur_squared if texture is not None else 0.0, DRIFT, noise)
     wall = BorePoints(
         base=points.base,
-        path=np.ascontiguousarray(points.path),
+        path=points.path,
         texture=np.zeros(count) if texture is None else np.nan_to_num(texture),
         start=start,
     )
-    outcome, who = Outcome.of(count), np.empty(count, np.int64)
-    follow_wall(head.view.frames(images), light, wall, head.radius_mm * 1e-5, outcome, who)
+    outcome, who = follow_wall(head.view.frames(images), light, wall, head.radius_mm * 1e-5)
     return Heights(*outcome, np.empty((0, 0), np.float32), who)
 
 

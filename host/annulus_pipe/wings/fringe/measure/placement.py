@@ -211,11 +211,7 @@ class PointLooks:
 
     @staticmethod
     def of(head: PlacedHead, images: Float32Array, x: FloatArray, normal: FloatArray) -> "PointLooks":
-        shape = (len(head.eye), len(x))
-        one = PointLooks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
-        x, normal = np.ascontiguousarray(x), np.ascontiguousarray(normal)
-        look_around(head.view.frames(images), x, normal, one.grey, one.phase, one.slope, one.pull, one.seen)
-        return one
+        return PointLooks(*look_around(head.view.frames(images), x, normal))
 
 
 def shading_terms(head: PlacedHead, seen: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ import numpy as np
 
 from annulus_pipe import untrusted
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.jit import cos_sin, jit
 
 HARMONICS_MAX = 4  # pairs (c, s) above the first: the fifth harmonic of a blurred bar is below 1 % of its first
 
@@ -43,7 +42,7 @@ class FringeProjector:
 
     @property
     def numbers(self) -> FloatArray:
-        """(4 + 2 k,) what `wave` and `phase_and_slope` take: kind, (a, b) or rate, phase0, harmonics."""
+        """(4 + 2 k,) as loops take a slide: kind, (a, b) or rate, phase0, harmonics."""
         rate = 2 * math.pi / self.period
         if self.kind == "stripes":
             turn = math.radians(self.turn_deg)
@@ -60,44 +59,6 @@ class FringeProjector:
             if kind == 0.0:
                 return np.asarray((a * q[..., 0] + b * q[..., 1]) / q[..., 2] + phase0)
             return np.asarray(a * q[..., 2] / np.hypot(q[..., 0], q[..., 1]) + phase0)
-
-
-@jit
-def stripes(a, b, phase0, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """`phase_and_slope` of stripes."""
-    inverse = 1.0 / z
-    ratio = (a * x + b * y) * inverse
-    return ratio + phase0, (a * dx + b * dy - ratio * dz) * inverse
-
-
-@jit
-def rings(a, phase0, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """`phase_and_slope` of rings."""
-    squared = x * x + y * y
-    inverse = 1.0 / math.sqrt(squared)
-    return a * z * inverse + phase0, a * inverse * (dz - z * (x * dx + y * dy) / squared)
-
-
-@jit
-def phase_and_slope(slide, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Phase at a point of the projector's frame, and its change per unit of a step (dx, dy, dz)."""
-    if slide[0] == 0.0:
-        return stripes(slide[1], slide[2], slide[3], x, y, z, dx, dy, dz)
-    return rings(slide[1], slide[3], x, y, z, dx, dy, dz)
-
-
-@jit
-def wave(slide, phase):  # type: ignore[no-untyped-def]
-    """The light's waveform at a phase, of amplitude 1, its slope, and the first harmonic's other half (sine)."""
-    c, s = cos_sin(phase)
-    value, slope = c, -s
-    ck, sk = c, s
-    for k in range((slide.size - 4) // 2):
-        ck, sk = ck * c - sk * s, sk * c + ck * s
-        even, odd = slide[4 + 2 * k], slide[5 + 2 * k]
-        value += even * ck + odd * sk
-        slope += (k + 2) * (odd * ck - even * sk)
-    return value, slope, s
 
 
 def _read(section: object) -> FringeProjector:

@@ -1,4 +1,4 @@
-"""The frame that methods are warmed up with."""
+"""The frame that a machine's pace is measured with."""
 
 import cv2
 import numpy as np
@@ -12,9 +12,10 @@ DRAWN_HALF_PX = 1.5  # a line that is thinner is drawn so wide: half of the leas
 STEP_PX = 4  # angles are asked for that often, and are smooth between; a line need not be as wide
 
 
-def warmup_frame(calibration: Calibration, of: HeadCamera | None = None) -> Image:
+def drawn_frame(calibration: Calibration, of: HeadCamera | None = None) -> Image:
     """Roughly what a camera of the head (the first if none is named) sees in a clean pipe, the first in its middle:
-    (H, W, 3) BGR. Good for warming up only. A ring that is nowhere in the picture is not in it; nothing is raised."""
+    (H, W, 3) BGR. Good for seconds, not for millimetres. A ring that is nowhere in the picture is
+    not in it; nothing is raised."""
     of = of or calibration.cameras[0]
     camera = of.camera
     v, u = np.mgrid[0 : camera.height + STEP_PX : STEP_PX, 0 : camera.width + STEP_PX : STEP_PX]
