@@ -20,7 +20,7 @@ from annulus_pipe.wall.reference import (
     sections_to_dict,
 )
 from annulus_pipe.wall.scale import SURE, AbsoluteScale, anchor, find_scale, scale_findings, with_drift, with_marks
-from annulus_pipe.wall.windows import _part
+from annulus_pipe.wall.within import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
 
