@@ -10,7 +10,7 @@ after the arguments, in the order in which their letters first appear. tests/uni
 declarations to the C.
 
 One library is loaded, the best that the processor can run; which one changes no bit of any result. ANNULUS_LOOPS names
-another ("x86-64-v2"), for tests.
+another, by its level ("x86-64-v2") or as a file by its whole path, for tests.
 """
 
 import ctypes
@@ -50,12 +50,13 @@ _ARGUMENT = re.compile(r"(?P<kind>\w\d)(\[(?P<sizes>[\w, ]*)\](?P<written>!?)(?P
 @functools.cache
 def library() -> ctypes.CDLL:
     """The loops for this processor. Raises AnnulusError where they were not built or cannot be loaded."""
-    return _load(shipped(f"{LOOPS}{level()}.so"))
+    name = level()
+    return _load(Path(name) if os.path.isabs(name) else shipped(f"{LOOPS}{name}.so"))
 
 
 @functools.cache
 def level() -> str:
-    """Which of LEVELS is loaded. Raises AnnulusError as `library` does."""
+    """Which of LEVELS is loaded, or what CHOSEN names. Raises AnnulusError as `library` does."""
     if chosen := os.environ.get(CHOSEN):
         return chosen
     usual = LEVELS[2 if platform.machine() == "x86_64" else 0]

@@ -27,7 +27,7 @@ OF_C = {
 }
 
 
-def _declaring() -> list[str]:
+def declaring() -> list[str]:
     package = Path(annulus_pipe.__path__[0])
     files = (path for path in package.rglob("*.py") if re.search(r"^\w+ = door\(", path.read_text(), re.M))
     return [
@@ -36,7 +36,7 @@ def _declaring() -> list[str]:
 
 
 def test_every_door_is_declared_as_its_function_is_in_c() -> None:
-    for name in _declaring():
+    for name in declaring():
         importlib.import_module(name)
     in_c = {}
     for path in sorted(NATIVE.glob("*.c")):
