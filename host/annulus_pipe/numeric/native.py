@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.shipped import LOOPS, of_checkout, shipped
+from annulus_pipe.shipped import BUILD, LOOPS, is_shipped, of_checkout, shipped
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -72,6 +72,8 @@ def _load(path: Path) -> ctypes.CDLL:
         raise AnnulusError(
             f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
         ) from None
+    if not hasattr(loaded, "library_sources"):
+        raise AnnulusError(f"{path}: is another library. Run `make setup`, or install annulus again.")
     loaded.library_sources.restype = ctypes.c_char_p
     if (ours := sources()) not in ("", loaded.library_sources().decode()):
         raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
@@ -86,11 +88,14 @@ def built_from() -> str:
 @functools.cache
 def sources() -> str:
     """A digest of the C in this checkout, as its Makefile makes it; empty where annulus came as a wheel."""
+    if is_shipped(BUILD):  # a wheel's, even where its environment lies in a checkout
+        return ""
     try:
         folder = of_checkout("host/native/level.c").parent
     except AnnulusError:
         return ""
-    files = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
+    found = [*sorted(folder.glob("*.c")), *sorted(folder.glob("*.h"))]
+    files = [file for file in found if not file.name.startswith(".")]  # an editor's; make's wildcards pass them over
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

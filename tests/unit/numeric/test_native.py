@@ -10,6 +10,8 @@ import pytest
 import annulus_pipe
 from annulus_pipe.numeric import native
 from annulus_pipe.numeric.native import DOORS, LoopDoor
+from annulus_pipe.shipped import BUILD, shipped
+from annulus_pipe.shipped import NATIVE as NATIVE_LIBRARY
 from annulus_pipe.vocabulary import AnnulusError
 
 NATIVE = Path(__file__).resolve().parents[3] / "host/native"
@@ -80,3 +82,30 @@ def test_a_library_of_other_sources_is_refused_in_one_line(monkeypatch: pytest.M
     monkeypatch.setattr(native, "sources", lambda: "0123456789abcdef")
     with pytest.raises(AnnulusError, match=r"loops-.*: was built from other sources .* Run `make setup`\.$"):
         native.library.__wrapped__()
+
+
+def test_another_library_in_its_place_is_refused_in_one_line(tmp_path: Path) -> None:
+    other = tmp_path / "loops-other.so"
+    other.write_bytes(shipped(NATIVE_LIBRARY).read_bytes())
+    with pytest.raises(AnnulusError, match=r"loops-other\.so: is another library\."):
+        native._load(other)
+
+
+def test_a_file_that_an_editor_hides_beside_the_sources_is_none_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("level.c", "native.h"):
+        (tmp_path / name).write_text(name)
+    monkeypatch.setattr(native, "of_checkout", lambda name: tmp_path / Path(name).name)
+    alone = native.sources.__wrapped__()
+    (tmp_path / ".#level.c").symlink_to("whoever@where.1234")
+    (tmp_path / "._native.h").write_text("of another system")
+    assert native.sources.__wrapped__() == alone != ""
+
+
+def test_a_wheel_in_an_environment_within_a_checkout_is_not_held_to_its_sources(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert native.sources.__wrapped__()
+    monkeypatch.setattr(native, "is_shipped", lambda name: name == BUILD)
+    assert native.sources.__wrapped__() == ""
