@@ -19,6 +19,7 @@ import hashlib
 import os
 import platform
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,10 @@ def level() -> str:
 
 
 def _load(path: Path) -> ctypes.CDLL:
+    if not _is_whole(path):
+        raise AnnulusError(
+            f"{path}: is cut short, or no library. `make setup` builds it, a wheel has it: install again."
+        )
     try:
         loaded = ctypes.CDLL(str(path))
     except OSError as error:
@@ -78,6 +83,16 @@ def _load(path: Path) -> ctypes.CDLL:
     if (ours := sources()) not in ("", loaded.library_sources().decode()):
         raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
     return loaded
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a 64-bit ELF file has all that its header speaks of: a load of one cut short ends the process."""
+    with path.open("rb") as file:
+        head = file.read(64)
+    if len(head) < 64 or head[:4] != b"\x7fELF":
+        return False
+    (sections,), (size, count) = struct.unpack_from("<Q", head, 40), struct.unpack_from("<HH", head, 58)
+    return int(sections) + int(size) * int(count) <= path.stat().st_size
 
 
 def built_from() -> str:

@@ -109,3 +109,11 @@ def test_a_wheel_in_an_environment_within_a_checkout_is_not_held_to_its_sources(
     assert native.sources.__wrapped__()
     monkeypatch.setattr(native, "is_shipped", lambda name: name == BUILD)
     assert native.sources.__wrapped__() == ""
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.99])
+def test_a_library_that_is_cut_short_is_refused_and_not_loaded(tmp_path: Path, part: float) -> None:
+    whole = native.shipped(f"loops-{native.level()}.so").read_bytes()
+    (tmp_path / "short.so").write_bytes(whole[: int(part * len(whole))])
+    with pytest.raises(AnnulusError, match="is cut short"):
+        native._load(tmp_path / "short.so")
