@@ -26,8 +26,12 @@ from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.daemon.session import Session
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, PERCENT, quoted
 from annulus_pipe.report import FILES, ScanAccount, prepare_folder, write
-from annulus_pipe.reprocess import Job, LedFrames, Processes, measure, method_for, open_job, photographs, stage_medians
 from annulus_pipe.reprocess.drawn import drawn_frame
+from annulus_pipe.reprocess.engine import LedFrames, measure
+from annulus_pipe.reprocess.executors import Processes
+from annulus_pipe.reprocess.job import Job, open_job, stage_medians
+from annulus_pipe.reprocess.method import method_for
+from annulus_pipe.reprocess.photographs import photographs
 from annulus_pipe.scans.origin import origin_of
 from annulus_pipe.scans.scan import ScanFrame
 from annulus_pipe.stereo import CAMERA_MISSING
@@ -36,8 +40,9 @@ from annulus_pipe.twin.head import HeadHandle, head_toml, start_head, sustainabl
 from annulus_pipe.twin.score import score
 from annulus_pipe.twin.worlds import World, demo_world, stereo_world
 from annulus_pipe.vocabulary import AnnulusError, Label
-from annulus_pipe.wall import Profile, Survey, survey
+from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.sections import worth_showing
+from annulus_pipe.wall.survey import Survey, survey
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0

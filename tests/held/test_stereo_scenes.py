@@ -16,7 +16,8 @@ from annulus_pipe.calibrate.head import calibrate_head
 from annulus_pipe.calibrate.pipe import PipeCalibration, save_pipe
 from annulus_pipe.calibrate.pipe_picture import draw_pipe
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.storage.calibration_file import load_calibration
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.defects import Kind

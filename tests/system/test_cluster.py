@@ -19,11 +19,11 @@ from toil import Toil
 
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import Processes, Reprocessed, in_process, open_job, reprocess
 from annulus_pipe.reprocess.cluster import Dask, Tls
-from annulus_pipe.reprocess.executors import Failed
+from annulus_pipe.reprocess.engine import Reprocessed, reprocess
+from annulus_pipe.reprocess.executors import Failed, Processes, in_process
 from annulus_pipe.reprocess.gather import gathered, in_ranges
-from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.job import Job, open_job
 from annulus_pipe.reprocess.ranges import FOLDER
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.stream.frames import FrameHeader

@@ -16,7 +16,7 @@ from annulus_pipe.twin.head import start_head
 from annulus_pipe.twin.score import score_cloud
 from annulus_pipe.twin.worlds import stereo_world
 from annulus_pipe.vocabulary import Label
-from annulus_pipe.wall import Profile
+from annulus_pipe.wall.profile import Profile
 
 pytestmark = [
     pytest.mark.alone,

@@ -42,7 +42,9 @@ def _frames() -> None:
 def _results() -> None:
     """What comes out of the sample recording."""
     from annulus_pipe.report import ScanAccount, write
-    from annulus_pipe.reprocess import Processes, open_job, reprocess
+    from annulus_pipe.reprocess.engine import reprocess
+    from annulus_pipe.reprocess.executors import Processes
+    from annulus_pipe.reprocess.job import open_job
     from tools.sample.__main__ import write as write_sample
 
     with tempfile.TemporaryDirectory() as folder:

@@ -148,13 +148,7 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
-    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
-    from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.job import job_of
-    from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess import Processes, look_at, open_job, surveyed
-    from annulus_pipe.scans.origin import origin_of
-    from annulus_pipe.storage.place import StoragePath
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
@@ -163,6 +157,16 @@ def reconstruct(
     if by is By.CAMERAS and wing is None:
         which = "without --calibration" if calibration is None else f"with {calibration}: its head projects no fringes"
         raise AnnulusError(f"--by cameras does not go {which}, expected a head that projects fringes on a plate")
+    if wing is None:
+        from annulus_pipe.reprocess.job import open_job  # what refuses first: it is done before the rest is there
+
+        work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
+    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.cli.summary import print_summary
+    from annulus_pipe.reprocess.executors import Processes
+    from annulus_pipe.scans.origin import origin_of
+    from annulus_pipe.storage.place import StoragePath
+
     if wing is not None:
         given = {
             "colour": colour,
@@ -181,9 +185,12 @@ def reconstruct(
         else:
             print("\n".join([*results.lines, f"report     {out / 'report.html'}"]))
         return
-    work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
+    from annulus_pipe.report import prepare_folder
+    from annulus_pipe.reprocess.engine import look_at
+    from annulus_pipe.reprocess.whole import surveyed
+
     origin = origin_of(work.scan, calibration, sheet)
-    look_at(work)  # what is refused is refused before loops are compiled
+    look_at(work)  # what is refused is refused before a folder is made
     prepare_folder(out)
     with progress(show_as) as bars:
         place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria)
@@ -198,9 +205,11 @@ def reconstruct(
 
 
 def _criteria(limits: Path | None) -> "Criteria | None":
+    if limits is None:
+        return None
     from annulus_pipe.cli.limits_file import load_limits
 
-    return None if limits is None else load_limits(limits)
+    return load_limits(limits)
 
 
 @app.command(epilog="Example: annulus demo --seconds 12 --out /tmp/demo --no-open")

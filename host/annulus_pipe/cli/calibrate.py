@@ -59,7 +59,6 @@ def camera(
     field = None if crop is None else _field(crop)
     from annulus_pipe.calibrate.both import join_cameras, pair_files, save_both
     from annulus_pipe.calibrate.camera import calibrate_camera, image_files, save_camera
-    from annulus_pipe.calibrate.camera_picture import draw_camera
 
     files = [image_files(images), *([] if second is None else [image_files([second])])]
     pairs = pair_files(*files) if second is not None else []
@@ -78,6 +77,8 @@ def camera(
         ]
     both = join_cameras(results[0], results[1], pairs) if second is not None else None
     stale = save_camera(results[0], out, field) if both is None else save_both(both, out)
+    from annulus_pipe.calibrate.camera_picture import draw_camera
+
     picture = picture or out.with_suffix(".camera.png")
     pictures = [picture, picture.with_stem(f"{picture.stem}-second")][: len(results)]
     for result, drawn in zip(results, pictures, strict=True):
@@ -351,7 +352,6 @@ def pipe(
         raise AnnulusError("--lines goes with --pattern line: slits are counted by the file's pattern.colours")
     from annulus_pipe.calibrate.head import calibrate_head
     from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
-    from annulus_pipe.calibrate.pipe_picture import draw_pipe
     from annulus_pipe.geometry.calibration import several_cameras
     from annulus_pipe.storage.calibration_file import load_sections
 
@@ -360,6 +360,8 @@ def pipe(
             result = calibrate_head(scan, camera, radius, progress=bars)
         else:
             result = calibrate_pipe(scan, camera, radius, lines=(lines or 1) if pattern == "line" else 0, progress=bars)
+    from annulus_pipe.calibrate.pipe_picture import draw_pipe
+
     save_pipe(result, out)
     picture = picture or out.with_suffix(".pipe.png")
     draw_pipe(result, picture)

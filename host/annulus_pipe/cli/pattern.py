@@ -14,6 +14,11 @@ from annulus_pipe.vocabulary import AnnulusError
 app = verbs()
 
 
+@app.callback()
+def _pattern() -> None:
+    """Keeps `design` a command of its own."""
+
+
 @app.command(
     "design",
     epilog="Example: annulus pattern design --word 2 --camera head-7.json --pipe-mm 152.4 --distance-mm 56 "

@@ -24,7 +24,7 @@ def info(scan: Scan, as_json: Json = False) -> None:
     Of a torn one also how many frames it lacks at most: the one under way where a program was killed, those the disk
     itself had not been told of where the power went.
     """
-    from annulus_pipe.reprocess.relabel import identity
+    from annulus_pipe.scans.identity import identity
 
     print_fields(identity(scan), as_json)
 

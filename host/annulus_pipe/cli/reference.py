@@ -80,7 +80,10 @@ def check(
 
     Status 1 where a section was not seen, is of another size than any drift explains, or reads wrong for sure.
     """
-    from annulus_pipe.reprocess import Processes, open_job, prior_of, reprocess
+    from annulus_pipe.reprocess.engine import reprocess
+    from annulus_pipe.reprocess.executors import Processes
+    from annulus_pipe.reprocess.job import open_job
+    from annulus_pipe.reprocess.optics import prior_of
     from annulus_pipe.wall.scale import drift_lines, find_scale
 
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)

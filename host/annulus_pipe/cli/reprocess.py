@@ -16,7 +16,7 @@ from annulus_pipe.hooks import opened
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
-    from annulus_pipe.reprocess import Executor
+    from annulus_pipe.reprocess.executors import Executor
     from annulus_pipe.storage.place import StoragePath
     from annulus_pipe.wall.reference import ReferenceSection
 
@@ -136,7 +136,7 @@ def _executor(
     cert: Path | None,
     key: Path | None,
 ) -> "Executor":
-    from annulus_pipe.reprocess import Processes
+    from annulus_pipe.reprocess.executors import Processes
 
     if engine is EngineChoice.LOCAL:
         for option, value in (("--scheduler", scheduler), ("--tls-ca", ca), ("--tls-cert", cert), ("--tls-key", key)):
@@ -179,7 +179,9 @@ def _one(scan: str, place: "StoragePath", executor: "Executor", given: _With, ba
 def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
     from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess import look_at, open_job, surveyed
+    from annulus_pipe.reprocess.engine import look_at
+    from annulus_pipe.reprocess.job import open_job
+    from annulus_pipe.reprocess.whole import surveyed
     from annulus_pipe.scans.origin import origin_of
     from annulus_pipe.storage.place import where
 
@@ -193,7 +195,7 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
         return {"ok": True, "results": str(place), "why": None, **made}
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
-    look_at(work)  # what is refused is refused before loops are compiled
+    look_at(work)  # what is refused is refused before a folder is made
     if place.local is not None:
         prepare_folder(place.local)
     about = ReportContext(scan, origin)

@@ -14,7 +14,8 @@ from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
 from annulus_pipe.report import ScanAccount, keep_windows, prepare_folder, write, write_whole, write_window
 from annulus_pipe.report.whole import WINDOWS, window_folder
-from annulus_pipe.reprocess import Job, photographs
+from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.photographs import photographs
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import Criteria, judge
@@ -24,7 +25,8 @@ from annulus_pipe.wall.survey import Survey
 
 if TYPE_CHECKING:
     from annulus_pipe.report import Paper
-    from annulus_pipe.reprocess import Executor, Surveyed
+    from annulus_pipe.reprocess.executors import Executor
+    from annulus_pipe.reprocess.whole import Surveyed
 
 SUMMARY = "summary.json"
 ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for another run that has it from the same

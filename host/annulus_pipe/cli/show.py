@@ -41,6 +41,25 @@ def progress(how: Bars = Bars.BAR) -> Iterator[Callable[[str, int, int], None]]:
     if how is Bars.JSON:
         yield _lines()
         return
+    begun: list[Any] = []  # nothing is drawn, or imported for it, before there is some progress
+    tasks: dict[str, Any] = {}
+
+    def report(what: str, done: int, total: int) -> None:
+        if not begun:
+            begun.append(_drawn())
+            begun[0].start()
+        if what not in tasks:
+            tasks[what] = begun[0].add_task(what, total=total)
+        begun[0].update(tasks[what], completed=done, total=total)
+
+    try:
+        yield report
+    finally:
+        for bars in begun:
+            bars.stop()
+
+
+def _drawn() -> Any:
     from rich import progress as rich
     from rich.console import Console
 
@@ -50,20 +69,7 @@ def progress(how: Bars = Bars.BAR) -> Iterator[Callable[[str, int, int], None]]:
         rich.MofNCompleteColumn(),
         rich.TimeRemainingColumn(),
     )
-    bars = rich.Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
-    tasks: dict[str, Any] = {}
-
-    def report(what: str, done: int, total: int) -> None:
-        bars.start()
-        if what not in tasks:
-            tasks[what] = bars.add_task(what, total=total)
-        bars.update(tasks[what], completed=done, total=total)
-
-    try:
-        yield report
-    finally:
-        if tasks:
-            bars.stop()
+    return rich.Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
 
 
 def _lines() -> Callable[[str, int, int], None]:

@@ -23,9 +23,8 @@ from annulus_pipe.labelling.labelling import CameraMode
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.link.head import HeadControl
 from annulus_pipe.link.messages import Configuration
-from annulus_pipe.record.frames import DROPS_TOPIC
+from annulus_pipe.record.frames import DROPS_TOPIC, EVIDENCE, IDENTITY
 
-TOPIC, IDENTITY = "/evidence", "/identity"
 FLUSH_S = 0.25  # a kill costs so much
 ROWS_MAX = 200  # of one message
 IDENTITY_S = 60.0  # between two looks at the wall clock
@@ -118,7 +117,7 @@ class Evidence:
 
     def _flush(self) -> None:
         if self._rows:
-            self._note(TOPIC, {"first": self._first, "rows": list(self._rows)})
+            self._note(EVIDENCE, {"first": self._first, "rows": list(self._rows)})
             self._first += len(self._rows)
             self._rows.clear()
 

@@ -23,10 +23,13 @@ class _Late:
 
 
 fft: Any = _Late("scipy.fft")
+interpolate: Any = _Late("scipy.interpolate")
 linalg: Any = _Late("scipy.linalg")
 ndimage: Any = _Late("scipy.ndimage")
 optimize: Any = _Late("scipy.optimize")
+signal: Any = _Late("scipy.signal")
 sparse: Any = _Late("scipy.sparse")
 spatial: Any = _Late("scipy.spatial")
 special: Any = _Late("scipy.special")
+stats: Any = _Late("scipy.stats")
 transform: Any = _Late("scipy.spatial.transform")

@@ -5,7 +5,7 @@ stay in order and as far apart as they were. What the wall clock was later, `/id
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,3 +43,12 @@ class Clock:
         if type(host_ns) is not int or type(utc_ns) is not int:
             return None
         return cls(host_ns, utc_ns) if max(abs(host_ns), abs(utc_ns)) <= TIME_MAX_NS else None
+
+
+def clock_of(offset_ns: int, identities: Iterable[Any]) -> Clock:
+    """A recording's own; of before there was one, what its `/identity` says; else none, and its times stay what they
+    are."""
+    if offset_ns:
+        return Clock(0, offset_ns)
+    clocks = (Clock.from_dict(body) for body in identities if isinstance(body, dict))
+    return next((clock for clock in clocks if clock is not None), Clock(0, 0))

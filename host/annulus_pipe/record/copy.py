@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.record.clock import Clock
+from annulus_pipe.record.clock import clock_of
 from annulus_pipe.record.codec import DEFAULT, Codec
-from annulus_pipe.record.frames import LABEL_TOPIC, RecordedFrame
+from annulus_pipe.record.frames import IDENTITY, LABEL_TOPIC, RecordedFrame
 from annulus_pipe.record.missing import RECOVERED, missing_note, missing_of
 from annulus_pipe.record.recording import Recording
 from annulus_pipe.record.walk import Damage
@@ -104,14 +104,6 @@ def recover(recording: Recording, out: Path, progress: Progress | None = None) -
     return Recovered(copy(recording, out, last=last, progress=progress), torn, cut, damage)
 
 
-def clock_of(recording: Recording) -> Clock:
-    """Its own; of before there was one, what `/identity` says; else none, and its times stay what they are."""
-    if recording.utc_offset_ns:
-        return Clock(0, recording.utc_offset_ns)
-    clocks = (Clock.from_dict(body) for body in recording.notes("/identity") if isinstance(body, dict))
-    return next((clock for clock in clocks if clock is not None), Clock(0, 0))
-
-
 def _copied(
     recording: Recording,
     out: Path,
@@ -128,7 +120,7 @@ def _copied(
         configuration=recording.configuration or {},
         now_ns=first_ns,
         codec=codec or DEFAULT,
-        clock=clock_of(recording),
+        clock=clock_of(recording.utc_offset_ns, recording.notes(IDENTITY)),
     ) as writer:
         for time_ns, _, topic, content in heapq.merge(_notes(recording), _frames(recording), key=lambda one: one[:2]):
             if not isinstance(content, RecordedFrame):

@@ -22,7 +22,7 @@ from annulus_pipe.vocabulary import AnnulusError, Label
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
 LABEL_TOPIC = "/label"
 DROPS_TOPIC = "/drops"
-IDENTITY = "/identity"
+IDENTITY, EVIDENCE = "/identity", "/evidence"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24

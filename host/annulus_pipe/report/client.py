@@ -30,7 +30,7 @@ from annulus_pipe.numeric.rounding import (
 )
 from annulus_pipe.report.account import ScanAccount
 from annulus_pipe.report.cuts import across, along
-from annulus_pipe.report.paper import letter, marked, question
+from annulus_pipe.report.names import letter, marked, question
 from annulus_pipe.report.photographs import part_of_map, photograph
 from annulus_pipe.wall.accuracy import tolerances
 from annulus_pipe.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict

@@ -3,7 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from annulus_pipe.report.paper import BUMP_BLUE, DISTANCE_LABEL, DPI, FEATURE, INK, SHEET_IN, letter, png
+from annulus_pipe.report.names import BUMP_BLUE, FEATURE, INK, letter
+from annulus_pipe.report.paper import DISTANCE_LABEL, DPI, SHEET_IN, png
 from annulus_pipe.wall.survey import Survey
 
 LEAST_SPAN_MM = 1.0  # of the radius in the picture: what is even looks even

@@ -8,7 +8,8 @@ import numpy as np
 from annulus_pipe.numeric.arrays import BoolArray
 from annulus_pipe.numeric.rounding import MEASURE, PERCENT, quoted
 from annulus_pipe.report.marks import WallMark, name_above
-from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, Stretch, png, stack
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED
+from annulus_pipe.report.paper import Stretch, png, stack
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, Kind
 from annulus_pipe.wall.stations import OVALITY_NAME
 from annulus_pipe.wall.survey import Survey

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits, quoted
-from annulus_pipe.report.paper import BUMP_BLUE, INK, LOSS_RED, round_up
+from annulus_pipe.report.names import BUMP_BLUE, INK, LOSS_RED, round_up
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.sections import DefectSection
 

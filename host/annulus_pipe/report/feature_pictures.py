@@ -8,21 +8,8 @@ from matplotlib.patches import Rectangle
 
 from annulus_pipe.numeric.arrays import BoolArray
 from annulus_pipe.numeric.rounding import clock_face
-from annulus_pipe.report.paper import (
-    BUMP_BLUE,
-    DEVIATION,
-    DISTANCE_LABEL,
-    DPI,
-    FAINT,
-    FEATURE,
-    INK,
-    LOSS_RED,
-    UNSEEN,
-    letter,
-    png,
-    question,
-    round_up,
-)
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN, letter, question, round_up
+from annulus_pipe.report.paper import DEVIATION, DISTANCE_LABEL, DPI, png
 from annulus_pipe.wall.defects import ALL_ROUND_DEG
 from annulus_pipe.wall.features import FeatureKind
 from annulus_pipe.wall.survey import Survey

@@ -23,7 +23,8 @@ from annulus_pipe.report.halves import draw_halves, ends_of, stretch_of
 from annulus_pipe.report.long_pipe import scale_of_sheets, sheet, sheets_of
 from annulus_pipe.report.maps import cameras, height_of, scales, texture, unwrapped
 from annulus_pipe.report.marks import marks_of
-from annulus_pipe.report.paper import DEVIATION, UNSEEN, Stretch, in_style, round_up
+from annulus_pipe.report.names import UNSEEN, round_up
+from annulus_pipe.report.paper import DEVIATION, Stretch, in_style
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.survey import Survey
 

@@ -1,5 +1,6 @@
 """The wall in 3-D: both halves of the pipe, cut open lengthwise, with numbers, hours, distances and a colour bar."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,9 +12,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray, Image
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.rounding import DISTANCE, clock_face, span
 from annulus_pipe.report.marks import WallMark
-from annulus_pipe.report.paper import DEVIATION, DPI, INK, badge, png, round_up
+from annulus_pipe.report.names import EXAGGERATION, INK, round_up
+from annulus_pipe.report.paper import DEVIATION, DPI, badge, png
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.grid import Wall, smooth
 from annulus_pipe.wall.survey import Survey
@@ -22,10 +25,35 @@ SIZE_PX = (960, 560)  # of the view; below it a strip for the colour bar
 STRIP_PX = 84
 LABEL_PT = 11.5
 BACKGROUND = (222, 229, 235)
-EXAGGERATION = 3.0  # of the deviation in the picture; the caption says so
 HALF_DEG = 90.0  # each side of the middle
 VIEW_ROLL_DEG, VIEW_YAW_DEG = -14.0, 27.0  # from where one looks at a half: rolled about the pipe, turned along it
 REACH_OF_RADIUS = 4.5  # of a long pipe: the stretch shown, to each side of its deepest defect
+_half_view = door(
+    "half_view",
+    "f4[n,m] map",
+    "u1[n,m,3] colour",
+    "f8[r] row",
+    "i4[c] left",
+    "i4[c] beside",
+    "i4[c] nearest",
+    "f8[c] part",
+    "f4[c] sine",
+    "f4[c] cosine",
+    "b1[c] facing",
+    "f4[r] along",
+    "f8 radius",
+    "f8 exaggeration",
+    "f8 turn",
+    "f8 advance",
+    "f8[3,3] axes",
+    "f4[3] origin",
+    "f8[3] lamp",
+    "f8 scale",
+    "f4[3,c]! room",
+    "b1[3,c]! seen",
+    "f8[h,w]! depth",
+    "u1[h,w,3]! canvas",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +102,11 @@ def draw_halves(
     out = []
     middle_deg = _best_cut(local)
     wall = survey.wall
+    map_mm = smooth(wall.deviation_mm()[rows])
     for clock in (middle_deg, middle_deg + 180.0):
         begin, end = (clock_face(clock + offset) for offset in (-HALF_DEG, HALF_DEG))
         caption = f"the half around {clock_face(clock)}, from {begin} to {end}, {span(*ends_of(wall, rows), DISTANCE)}"
-        out.append((caption, _half(wall, rgb, rows, clock % 360, marks, scale_mm)))
+        out.append((caption, _half(wall, map_mm, rgb, rows, clock % 360, marks, scale_mm)))
     return tuple(out)
 
 
@@ -97,8 +126,16 @@ def _best_cut(local: Sequence[Defect]) -> float:
     return max(hours, key=room)
 
 
-def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float, marks: Sequence[WallMark], scale_mm: float) -> bytes:
-    view = half_view(wall, rgb, rows, clock_deg, width=SIZE_PX[0], height=SIZE_PX[1])
+def _half(
+    wall: Wall,
+    map_mm: NDArray[np.float32],
+    rgb: Image,
+    rows: slice,
+    clock_deg: float,
+    marks: Sequence[WallMark],
+    scale_mm: float,
+) -> bytes:
+    view = half_view(wall, map_mm, rgb, rows, clock_deg, width=SIZE_PX[0], height=SIZE_PX[1])
     height, width = view.image.shape[:2]
     total = height + STRIP_PX
     figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI)
@@ -196,14 +233,21 @@ def _number(
 
 
 def half_view(
-    wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 840, height: int = 540
+    wall: Wall,
+    map_mm: NDArray[np.float32],
+    colour: Image,
+    rows: slice,
+    clock_deg: float,
+    *,
+    width: int = 840,
+    height: int = 540,
 ) -> ShadedView:
     """The half of the pipe around a clock angle, from inside and a little ahead; distance runs to the right.
 
     Parameters
     ----------
-    colour : (Z, A, 3) uint8 RGB of every cell; unseen cells are drawn as holes.
-    rows : the stretch to show.
+    map_mm : the deviation on the stretch, calmed; unseen cells are drawn as holes.
+    colour : (Z, A, 3) uint8 RGB of every cell. rows : the stretch to show.
 
     Notes
     -----
@@ -235,43 +279,34 @@ def half_view(
     j = (clock_deg - HALF_DEG + (np.arange(steps) + 0.5) / steps * 2 * HALF_DEG) / wall.clock_step_deg - 0.5
     n_rows = int(np.clip((z[-1] - z[0]) * scale * 1.2, 2, 4000))
     i = np.linspace(0, len(z) - 1, n_rows)
-    deviation, seen = _resample(smooth(wall.deviation_mm()[rows]), i, j)
-    t = np.radians((j + 0.5) * wall.clock_step_deg)[None].astype(np.float32)
-    r = radius + EXAGGERATION * deviation
-    zz = np.broadcast_to((z[0] + i * wall.z_step_mm).astype(np.float32)[:, None], r.shape)
-    slope_t = np.clip(np.gradient(r, np.radians(2 * HALF_DEG / steps), axis=1) / r, -3, 3)
-    slope_z = np.clip(np.gradient(r, (z[-1] - z[0]) / (n_rows - 1), axis=0), -3, 3)
-    sin, cos = np.sin(t), np.cos(t)
-    seen &= -sin * forward[0] + cos * forward[1] < 0.0  # what turns its back is the outside of the near rim
-    inward = np.stack([-sin + slope_t * cos, cos + slope_t * sin, slope_z], axis=-1)[seen]
-    inward /= np.sqrt(np.einsum("ij,ij->i", inward, inward))[:, None]
-    points = np.stack([r * sin, -r * cos, zz], axis=-1)[seen] - origin.astype(np.float32)
+    left = np.floor(j)
+    t = np.radians((j + 0.5) * wall.clock_step_deg).astype(np.float32)
+    sine, cosine = np.sin(t), np.cos(t)
     lamp = -(0.75 * forward - 0.5 * down - 0.45 * right)
-    shade = 0.50 + 0.49 * np.clip(inward @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
-    near_row, near_column = np.rint(i).astype(int), np.rint(j).astype(int) % colour.shape[1]
-    paint = np.clip(colour[rows][near_row][:, near_column][seen] * shade[:, None], 0, 255).astype(np.uint8)
-    u = np.rint(points @ right * scale + (size[0] - 1) / 2).astype(np.int64)
-    v = np.rint(points @ down * scale + (size[1] - 1) / 2).astype(np.int64)
-    inside = (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
-    order = np.argsort(-(points @ forward)[inside], kind="stable")  # far first, the near ones overwrite
     canvas = np.full((size[1], size[0], 3), BACKGROUND, dtype=np.uint8)
-    canvas[v[inside][order], u[inside][order]] = paint[inside][order]
-    image = canvas.reshape(height, fine, width, fine, 3).mean(axis=(1, 3)).astype(np.uint8)
-    return ShadedView(image, right, down, origin, scale / fine)
-
-
-def _resample(field: NDArray[np.float32], i: FloatArray, j: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Bilinear between seen cells, nearest at their edges; around the clock it closes. Values and where seen."""
-    n, m = field.shape
-    i0 = np.clip(np.floor(i).astype(int), 0, n - 1)
-    i1 = np.minimum(i0 + 1, n - 1)
-    j0 = np.floor(j).astype(int)
-    fi, fj = (i - i0)[:, None], (j - j0)[None]
-    total, weight = np.zeros((len(i), len(j))), np.zeros((len(i), len(j)))
-    for rows, wi in ((i0, 1 - fi), (i1, fi)):
-        for columns, wj in ((j0 % m, 1 - fj), ((j0 + 1) % m, fj)):
-            value = field[rows][:, columns]
-            ok = np.isfinite(value)
-            total += np.where(ok, value, 0.0) * wi * wj * ok
-            weight += wi * wj * ok
-    return (total / np.maximum(weight, 1e-9)).astype(np.float32), weight >= 0.5
+    _half_view(
+        map_mm,
+        np.ascontiguousarray(colour[rows]),
+        i,
+        *((places % colour.shape[1]).astype(np.int32) for places in (left, left + 1, np.rint(j))),
+        j - left,
+        sine,
+        cosine,
+        -sine * forward[0] + cosine * forward[1] < 0.0,  # what turns its back is the outside of the near rim
+        (z[0] + i * wall.z_step_mm).astype(np.float32),
+        radius,
+        EXAGGERATION,
+        math.radians(2 * HALF_DEG / steps),
+        (z[-1] - z[0]) / (n_rows - 1),
+        np.stack([right, down, forward]),
+        origin.astype(np.float32),
+        lamp / np.linalg.norm(lamp),
+        scale,
+        np.empty((3, steps), np.float32),
+        np.empty((3, steps), np.bool_),
+        np.empty((size[1], size[0])),
+        canvas,
+    )
+    parts = [canvas[a::fine, b::fine].astype(np.uint16) for a in range(fine) for b in range(fine)]
+    image = sum(parts[1:], start=parts[0]) // fine**2
+    return ShadedView(image.astype(np.uint8), right, down, origin, scale / fine)

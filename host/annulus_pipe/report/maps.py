@@ -20,20 +20,8 @@ from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.rounding import MEASURE, SHARE, quoted
 from annulus_pipe.numeric.thinning import farthest
 from annulus_pipe.report.marks import WallMark, draw_marks, name_above
-from annulus_pipe.report.paper import (
-    AXES_MM,
-    DEVIATION,
-    FAINT,
-    HIDDEN,
-    INK,
-    UNSEEN,
-    Stretch,
-    bar_beside,
-    png,
-    round_up,
-    scale_of,
-    stack,
-)
+from annulus_pipe.report.names import FAINT, HIDDEN, INK, UNSEEN, round_up
+from annulus_pipe.report.paper import AXES_MM, DEVIATION, Stretch, bar_beside, png, scale_of, stack
 from annulus_pipe.wall.survey import Survey
 
 ROWS_MAX = 2400  # of a map: two a dot

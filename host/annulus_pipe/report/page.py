@@ -20,8 +20,7 @@ from annulus_pipe.numeric.rounding import (
     span,
 )
 from annulus_pipe.report.figures import ReportPictures
-from annulus_pipe.report.halves import EXAGGERATION
-from annulus_pipe.report.paper import letter, question
+from annulus_pipe.report.names import EXAGGERATION, letter, question
 from annulus_pipe.report.sheet import inline, minute, sheet
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.report import client, figures
+from annulus_pipe.report import client
 from annulus_pipe.report.account import ScanAccount
-from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper, to_pdf
 from annulus_pipe.report.ply import write_ply
 from annulus_pipe.report.summary import summarize
@@ -63,6 +62,9 @@ def write(
     AnnulusError when `out` cannot be written.
 
     """
+    from annulus_pipe.report import figures  # matplotlib: not by whom refuses, or only asks what is in a folder
+    from annulus_pipe.report.page import render_page
+
     started = time.perf_counter()
     with staged(out) as staging:
         _write_cloud(staging / "cloud.ply", survey)

@@ -13,7 +13,7 @@ from annulus_pipe.hooks import Sheet
 from annulus_pipe.job import Observation, Origin
 from annulus_pipe.numeric.rounding import clock_face, stored, stored_k2
 from annulus_pipe.report.account import ScanAccount
-from annulus_pipe.report.paper import marked
+from annulus_pipe.report.names import marked
 from annulus_pipe.wall.conformity import RULE, Group, Verdict
 from annulus_pipe.wall.defects import Defect
 from annulus_pipe.wall.features import Feature

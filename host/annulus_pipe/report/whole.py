@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, quoted, span
-from annulus_pipe.report import client, figures
+from annulus_pipe.report import client
 from annulus_pipe.report.account import ScanAccount
-from annulus_pipe.report.page import render_page
 from annulus_pipe.report.pdf import Paper
 from annulus_pipe.report.results import SUMMARY, WALL, staged, write, write_centreline, write_page, write_stations
 from annulus_pipe.report.summary import summarize
@@ -62,6 +61,9 @@ def write_whole(
 
     Raises AnnulusError when `out` cannot be written.
     """
+    from annulus_pipe.report import figures  # matplotlib, as `results.write`
+    from annulus_pipe.report.page import render_page
+
     started = time.perf_counter()
     keep_windows(out, numbers)
     folders = [window_folder(out, number) for number in sorted(numbers)]

@@ -9,33 +9,19 @@ A scan that has no profile a frame belongs to a wing: `hooks.opened` says so.
 >>> pipe = survey_of("scan.mcap")
 """
 
-from annulus_pipe.reprocess.engine import LedFrames, Reprocessed, look_at, measure, reprocess, survey_of
-from annulus_pipe.reprocess.executors import Executor, Failed, Processes, Work, in_process
-from annulus_pipe.reprocess.job import Job, open_job, stage_medians
-from annulus_pipe.reprocess.method import Method, method_for
-from annulus_pipe.reprocess.optics import prior_of
-from annulus_pipe.reprocess.photographs import photographs
-from annulus_pipe.reprocess.whole import Surveyed, surveyed
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Executor",
-    "Failed",
-    "Job",
-    "LedFrames",
-    "Method",
-    "Processes",
-    "Reprocessed",
-    "Surveyed",
-    "Work",
-    "in_process",
-    "look_at",
-    "measure",
-    "method_for",
-    "open_job",
-    "photographs",
-    "prior_of",
-    "reprocess",
-    "stage_medians",
-    "survey_of",
-    "surveyed",
-]
+if TYPE_CHECKING:
+    from annulus_pipe.wall.survey import Survey
+
+
+def survey_of(scan: str | Path, calibration: str | Path | None = None) -> "Survey":
+    """The survey of a scan folder or a recording; the calibration in a recording is used where no file is given.
+
+    Raises AnnulusError, one line, for any input that is missing, damaged or does not belong together.
+    """
+    from annulus_pipe.reprocess.engine import reprocess  # late: workers live in this package and need none of it
+    from annulus_pipe.reprocess.job import open_job
+
+    return reprocess(open_job(scan, calibration)).survey()

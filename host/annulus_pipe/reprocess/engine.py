@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.hooks import added
@@ -13,7 +12,7 @@ from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.mosaic import bgr_of
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
-from annulus_pipe.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
+from annulus_pipe.reprocess.job import Job, Measured, stage_medians, turns_of
 from annulus_pipe.reprocess.method import examined
 from annulus_pipe.reprocess.optics import prior_of
 from annulus_pipe.reprocess.places import (
@@ -28,10 +27,9 @@ from annulus_pipe.rings.diagnosis import FrameLighting, diagnose, exposure_findi
 from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
-from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.survey import Survey, survey
 from annulus_pipe.wall.texture import LedFrame
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
@@ -64,14 +62,6 @@ class Reprocessed:
         pipe = survey(self.profiles, job.calibration, leds, turns=turns, vibration=vibration, fps=fps, scale=scale)
         pipe = replace(pipe, disbelieved=(*pipe.disbelieved, *leds.findings()))
         return added(pipe, self.job.scan, self.profiles)
-
-
-def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey:
-    """The survey of a scan folder or a recording; the calibration in a recording is used where no file is given.
-
-    Raises AnnulusError, one line, for any input that is missing, damaged or does not belong together.
-    """
-    return reprocess(open_job(scan, calibration)).survey()
 
 
 def reprocess(job: Job, executor: Executor = in_process, progress: Progress | None = None) -> Reprocessed:

@@ -11,9 +11,9 @@ from typing import Any
 from annulus_pipe import untrusted
 from annulus_pipe.labelling.evidence import Row
 from annulus_pipe.labelling.replay import Replay, Said
+from annulus_pipe.record.frames import EVIDENCE, IDENTITY
 from annulus_pipe.record.recording import Recording
 
-TOPIC, IDENTITY = "/evidence", "/identity"
 ROWS_MAX = 1 << 48  # of a scan: beyond is damage
 _Batch = tuple[int, list[Row]]  # number of its first row
 
@@ -70,7 +70,7 @@ class RecordedEvidence:
         written = max((_rows_by(body) for body in self._recording.notes(IDENTITY)), default=0)
         if written > expected:
             self._hole(expected, written - expected, malformed=False)
-        elif self._recording.count(TOPIC) > self._read:
+        elif self._recording.count(EVIDENCE) > self._read:
             self._hole(expected, None, malformed=False)
         yield from replay.finish()
 
@@ -80,7 +80,7 @@ class RecordedEvidence:
         """
         expected = 0
         held: _Batch | None = None
-        for body in self._recording.notes(TOPIC):
+        for body in self._recording.notes(EVIDENCE):
             self._read += 1
             batch = _batch(body)
             if batch is None:
@@ -111,7 +111,7 @@ class RecordedEvidence:
 
 def _batch(body: object) -> _Batch | None:
     try:
-        record = untrusted.mapping(body, TOPIC)
+        record = untrusted.mapping(body, EVIDENCE)
         first, rows = untrusted.whole(record.get("first"), "first", 0, ROWS_MAX), record.get("rows")
     except ValueError:
         return None

@@ -156,17 +156,19 @@ def _bare(recording: Recording) -> Recording:
 
 @dataclass(frozen=True, slots=True)
 class Measuring:
-    """Work: a range to its file in the place. job : with all decisions in it, its scan's frames left out."""
+    """Work: a range to its file in the place. job : with all decisions in it, its scan's frames left out. given : the
+    address of what all ranges follow from; of whoever hands out the work, and a worker that measures otherwise is given
+    none (`cluster`)."""
 
     job: Job
     place: StoragePath
+    given: str
 
     def ready(self) -> Callable[[Range], Facts]:
         method = method_for(self.job.calibration, self.job.colour)
-        given = address(measured_with(), self.job.calibration, self.job.colour)
 
         def do(one: Range) -> Facts:
-            name = f"{FOLDER}/{one.number:06d}-{address(given, one.which, identity(one.part))[:32]}.parquet"
+            name = f"{FOLDER}/{one.number:06d}-{address(self.given, one.which, identity(one.part))[:32]}.parquet"
             there = self.place.read(name)
             if there is not None:
                 try:
@@ -192,7 +194,7 @@ class Measuring:
 
 def measuring(job: Job, place: StoragePath) -> Measuring:
     """`job`: its colour decided."""
-    return Measuring(without_frames(job), place)
+    return Measuring(without_frames(job), place, address(measured_with(), job.calibration, job.colour))
 
 
 def without_frames(job: Job) -> Job:

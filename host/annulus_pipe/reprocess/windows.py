@@ -19,12 +19,12 @@ from annulus_pipe.reprocess.ranges import identity, part_of, without_frames
 from annulus_pipe.reprocess.versions import address, made_with
 from annulus_pipe.scans.scan import Scan
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import AbsoluteScale
-from annulus_pipe.wall.survey import Survey
-from annulus_pipe.wall.windows import Window, WindowPlan, between
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.windows import Window, WindowPlan
+from annulus_pipe.wall.within import between
 
 NOT_MEASURED, THINNED = "stretch-not-measured", "frames-thinned"  # kinds of finding
 

@@ -4,9 +4,3 @@
 brings a frame's points, and finds the pipe in them with `pose`; nothing here knows how they were measured. Sees only
 geometry and numbers, and never opens a file.
 """
-
-from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.survey import Survey, survey
-from annulus_pipe.wall.texture import LedFrame
-
-__all__ = ["LedFrame", "Profile", "Survey", "survey"]

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, VERTEX_Z_MM, round_pipe, scan, turn
 
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.lost import OBJECT
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.survey import Survey, survey
 
 Inside = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 WAY = np.linspace(0.3, 0.985, 40)[:, None]  # of the way from the head to the wall

@@ -8,10 +8,9 @@ import pytest
 from over_limit import draw, scanned
 from synthetic_pipe import CALIBRATION, pocket, round_pipe
 
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.grid import smooth
 from annulus_pipe.wall.indications import label_around
-from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.survey import Survey, survey
 
 
 def unaccounted(pipe: Survey) -> list[str]:

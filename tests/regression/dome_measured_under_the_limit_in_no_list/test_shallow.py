@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, NOISE_MM, RadiusMap, bump, round_pipe, scan
 
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.standing import SHALLOW_WHY
+from annulus_pipe.wall.survey import survey
 
 
 def scanned(radius: RadiusMap) -> list[Profile]:

@@ -9,12 +9,12 @@ import pytest
 from over_limit import scanned
 from synthetic_pipe import CALIBRATION, SHADOW_RATIO, RadiusMap, pocket, round_pipe
 
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.defects import _agreed, find_defects
 from annulus_pipe.wall.grid import build_wall
 from annulus_pipe.wall.indications import Indication, Kind
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.standing import END_WHY
+from annulus_pipe.wall.survey import survey
 
 HERE = "tests/regression/floor_that_was_not_seen_to_its_end/test_floor.py"
 

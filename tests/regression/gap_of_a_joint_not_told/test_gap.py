@@ -7,8 +7,8 @@ from over_limit import scanned
 from synthetic_pipe import CALIBRATION, round_pipe
 
 from annulus_pipe.untrusted import parse_toml
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.conformity import Criteria, Decision, Verdict, judge
+from annulus_pipe.wall.survey import survey
 
 EVERY_SECOND = np.array([2.4 * i for i in range(50) if i % 5 != 4])[::2]
 GAP = "[[gap]]\nseverity = 3\ngap_mm = 6.0\n"

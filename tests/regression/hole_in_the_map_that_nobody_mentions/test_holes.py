@@ -10,9 +10,8 @@ from synthetic_pipe import CALIBRATION, RadiusMap, pocket, round_pipe
 from annulus_pipe.report import ScanAccount
 from annulus_pipe.report.page import _verdict
 from annulus_pipe.report.summary import summarize
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.survey import Survey, survey
 from annulus_pipe.wall.unjudged import Unjudged
 
 HERE = "tests/regression/hole_in_the_map_that_nobody_mentions/test_holes.py"

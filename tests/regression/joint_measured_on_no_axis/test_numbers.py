@@ -6,7 +6,7 @@ import pytest
 from over_limit import _bead, scanned
 from synthetic_pipe import CALIBRATION, RadiusMap, round_pipe
 
-from annulus_pipe.wall import Survey, survey
+from annulus_pipe.wall.survey import Survey, survey
 
 EVERY_SECOND = np.array([2.4 * i for i in range(50) if i % 5 != 4])[::2]
 CLOCK_DEG = 216.0

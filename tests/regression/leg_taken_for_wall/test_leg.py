@@ -10,8 +10,8 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.rings.reconstructor import Reconstructor
-from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.defects import Kind
+from annulus_pipe.wall.survey import Survey, survey
 
 RADIUS_MM, RING_PX, SWING_MM = 150.0, 100.0, 7.3  # Dmax - Dmin of the oval
 PLANE_MM = 250.0 * RADIUS_MM / RING_PX

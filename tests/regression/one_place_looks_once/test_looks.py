@@ -8,12 +8,12 @@ import numpy as np
 from synthetic_pipe import CALIBRATION, SHADOW_RATIO, opening, round_pipe, scan
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.defects import find_defects
 from annulus_pipe.wall.features import Feature
 from annulus_pipe.wall.grid import build_wall
 from annulus_pipe.wall.looks import looks_of
 from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 
 STATIONS = tuple(3.0 * i for i in range(32) if i % 5 != 4)
 

@@ -6,8 +6,8 @@ from over_limit import scanned
 from synthetic_pipe import CALIBRATION, pocket, round_pipe
 
 from annulus_pipe.untrusted import parse_toml
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.conformity import Criteria, Decision, judge
+from annulus_pipe.wall.survey import survey
 
 LIMITS = Criteria.from_dict(parse_toml(b"[[loss]]\nseverity = 3\ndepth_mm = 2.0\n"))
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from annulus_pipe import reprocess
 from annulus_pipe.cli import main
+from annulus_pipe.reprocess import whole
 from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.twin.worlds.pipes import demo_world
 
@@ -19,7 +19,7 @@ from annulus_pipe.twin.worlds.pipes import demo_world
 @pytest.mark.parametrize(
     ("light", "told"), [("projector", "but .* is 40x30"), ("led", "none of its 3 frames is labelled projector")]
 )
-def test_what_is_refused_is_refused_before_anything_is_compiled(
+def test_what_is_refused_is_refused_before_anything_is_measured(
     command: str, light: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     calibration = tmp_path / "calibration.json"
@@ -31,7 +31,7 @@ def test_what_is_refused_is_refused_before_anything_is_compiled(
         cv2.imwrite(str(scan / f"{n}.png"), np.zeros((30, 40, 3), np.uint8))
         rows.append(f"{n},{n}.png,{light},{2 * n}")
     (scan / "frames.csv").write_text("\n".join(rows))
-    monkeypatch.setattr(reprocess, "make_ready", lambda *_: pytest.fail("compiles before it has looked"))
+    monkeypatch.setattr(whole, "surveyed", lambda *_, **__: pytest.fail("measures before it has looked"))
     out = tmp_path / "results"
     monkeypatch.setattr(sys, "argv", ["annulus", command, str(scan), "-o", str(out), "--calibration", str(calibration)])
     with pytest.raises(SystemExit) as ended:

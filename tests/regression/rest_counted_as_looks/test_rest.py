@@ -7,9 +7,9 @@ import numpy as np
 from over_limit import resting, scanned
 from synthetic_pipe import CALIBRATION, round_pipe
 
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.features import FeatureKind
 from annulus_pipe.wall.rests import without_rests
+from annulus_pipe.wall.survey import survey
 
 
 def test_a_rest_is_one_look_and_makes_no_joint() -> None:

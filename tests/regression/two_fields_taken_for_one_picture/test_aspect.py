@@ -14,7 +14,7 @@ from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.scans.video import import_video
-from annulus_pipe.wall import survey
+from annulus_pipe.wall.survey import survey
 
 STORED, SQUARE, FRAMES = (352, 288), (396, 288), 8  # of pixels 9:8 wide
 PARENTS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd")

@@ -10,7 +10,8 @@ from synthetic_pipe import CALIBRATION, round_pipe, scan
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.wall import Profile, survey
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 
 TWO = replace(CALIBRATION, others=(HeadCamera(4, CALIBRATION.camera),))
 

@@ -21,11 +21,12 @@ from annulus_pipe.report import ScanAccount, write
 from annulus_pipe.report.cuts import CIRCLE_PX, SWING_PX, across
 from annulus_pipe.report.marks import marks_of
 from annulus_pipe.untrusted import parse_toml
-from annulus_pipe.wall import LedFrame, Survey, survey
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.photograph import Shot, best_views, crop
 from annulus_pipe.wall.sections import cut
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.texture import LedFrame
 
 LIMITS = b'title = "<b>ours</b>"\n[[loss]]\nseverity = 4\ndepth_mm = 3\n[[bore]]\nseverity = 2\nsmallest_mm = 140\n'
 

@@ -14,7 +14,7 @@ from annulus_pipe.export import FORMS, open_results
 from annulus_pipe.export import write as export
 from annulus_pipe.export.radii import ANGLES_DEG
 from annulus_pipe.report import ScanAccount, results, write
-from annulus_pipe.wall import Survey, survey
+from annulus_pipe.wall.survey import Survey, survey
 
 Made = tuple[Path, Survey]
 

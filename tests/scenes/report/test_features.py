@@ -12,9 +12,9 @@ import pytest
 from synthetic_pipe import CALIBRATION, pocket, round_pipe, scan
 
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
+from annulus_pipe.wall.survey import Survey, survey
 
 JOINT = Feature(
     FeatureKind.JOINT,

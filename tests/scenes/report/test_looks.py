@@ -22,10 +22,11 @@ from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.report.pdf import to_pdf
 from annulus_pipe.vocabulary import Finding
-from annulus_pipe.wall import LedFrame, survey
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
+from annulus_pipe.wall.survey import survey
+from annulus_pipe.wall.texture import LedFrame
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 from annulus_pipe.wings.joints.page import write_joint_page

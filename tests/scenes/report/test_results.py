@@ -12,9 +12,11 @@ import pytest
 from plyfile import PlyData
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
-from annulus_pipe.report import FILES, ScanAccount, prepare_folder, results, write
+from annulus_pipe.report import FILES, ScanAccount, figures, prepare_folder, write
 from annulus_pipe.vocabulary import AnnulusError, Finding
-from annulus_pipe.wall import LedFrame, Profile, Survey, survey
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.texture import LedFrame
 
 COUNTS = {"projector": 40, "led": 2, "unknown": 1}
 
@@ -138,7 +140,7 @@ def test_a_crash_half_way_leaves_the_old_results_alone(
     def full(*_args: object) -> str:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(results.figures, "draw", full)
+    monkeypatch.setattr(figures, "draw", full)
     with pytest.raises(AnnulusError, match="No space left"):
         write(written[1], account(), out)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == {

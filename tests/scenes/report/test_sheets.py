@@ -17,7 +17,8 @@ from annulus_pipe.report.long_pipe import SHEETS_MAX, sheets_of
 from annulus_pipe.report.maps import ROWS_MAX, calm, draw_shape, mean_colour
 from annulus_pipe.report.marks import marks_of, outline
 from annulus_pipe.report.paper import AXES_MM, Stretch, scale_of, stack
-from annulus_pipe.wall import LedFrame, Survey, survey
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.texture import LedFrame
 
 AXIS_BGR = (0x85, 0x78, 0x6B)
 

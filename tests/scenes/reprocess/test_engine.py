@@ -12,15 +12,17 @@ import numpy as np
 import pytest
 
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.reprocess import Job, Processes, in_process, measure, method_for, open_job, reprocess, survey_of
-from annulus_pipe.reprocess.engine import CHUNK
-from annulus_pipe.reprocess.job import Measured
+from annulus_pipe.reprocess import survey_of
+from annulus_pipe.reprocess.engine import CHUNK, measure, reprocess
+from annulus_pipe.reprocess.executors import Processes, in_process
+from annulus_pipe.reprocess.job import Job, Measured, open_job
+from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, WorldFeature, clean_world
 from annulus_pipe.vocabulary import Label
-from annulus_pipe.wall import Profile
+from annulus_pipe.wall.profile import Profile
 
 PYTHON = Path(__file__).parents[3] / "docs/manual/python.md"
 FRAMES = 24

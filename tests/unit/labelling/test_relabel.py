@@ -11,7 +11,8 @@ from faulty_head import Head
 from annulus_pipe.cli import main
 from annulus_pipe.record.recording import Recording, open_recording
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.reprocess.relabel import audit, identity, relabel
+from annulus_pipe.reprocess.relabel import audit, relabel
+from annulus_pipe.scans.identity import identity
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
 

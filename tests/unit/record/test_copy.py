@@ -14,7 +14,7 @@ import pytest
 from annulus_pipe.cli import main
 from annulus_pipe.record.clock import Clock
 from annulus_pipe.record.codec import Codec, to_bgr
-from annulus_pipe.record.copy import clock_of, copy, recover
+from annulus_pipe.record.copy import copy, recover
 from annulus_pipe.record.recording import Recording, open_recording
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.scans.folder import export_folder
@@ -79,7 +79,7 @@ def test_a_torn_recording_becomes_a_whole_one_of_all_that_can_be_read(tmp_path: 
     found = recover(torn, tmp_path / "b.mcap")
     assert (found.torn, found.cut_frames, found.copied.frames, found.damage) == (True, 1, FRAMES - 1, ())
     whole = open_recording(tmp_path / "b.mcap")
-    assert not whole.torn and not whole.check() and clock_of(whole).offset_ns == CLOCK.offset_ns
+    assert not whole.torn and not whole.check() and whole.utc_offset_ns == CLOCK.offset_ns
     same(torn, whole)
     for a, b in zip(torn.frames, whole.frames, strict=True):
         if codec is Codec.JPEG:

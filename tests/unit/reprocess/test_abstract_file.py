@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
 from annulus_pipe.reprocess.abstract_file import _digest, packed, unpacked
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.joined import Abstract, abstract
+from annulus_pipe.wall.survey import survey
 from annulus_pipe.wall.windows import Reach, Window, plan
 
 ABOUT = {"made_from": "0123", "files": {"windows/0001/cloud.ply": "ab"}}

@@ -9,7 +9,10 @@ import pytest
 from synthetic_pipe import CALIBRATION
 
 from annulus_pipe.cli import main
-from annulus_pipe.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
+from annulus_pipe.reprocess.engine import Reprocessed, reprocess
+from annulus_pipe.reprocess.executors import Processes, in_process
+from annulus_pipe.reprocess.job import open_job
+from annulus_pipe.reprocess.method import method_for
 from annulus_pipe.storage.calibration_file import save_calibration
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -78,7 +81,7 @@ def test_nothing_is_computed_when_the_output_is_a_file(
     out, calibration = scan.parent / "out", scan.parent / "calibration.json"
     out.write_text("mine")
     monkeypatch.setattr(
-        "annulus_pipe.reprocess.reprocess", lambda *_: pytest.fail("worked before looking at the output")
+        "annulus_pipe.reprocess.whole.surveyed", lambda *_: pytest.fail("worked before looking at the output")
     )
     monkeypatch.setattr(
         "sys.argv", ["annulus", "reconstruct", str(scan), "--calibration", str(calibration), "-o", str(out)]

@@ -9,8 +9,9 @@ import pytest
 
 from annulus_pipe.geometry.drift import Drift
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.reprocess import Processes, whole
+from annulus_pipe.reprocess import whole
 from annulus_pipe.reprocess.cluster import Dask, packed
+from annulus_pipe.reprocess.executors import Processes
 from annulus_pipe.reprocess.ranges import Facts
 from annulus_pipe.reprocess.whole import Filed
 from annulus_pipe.reprocess.windows import Portion, Portions, WindowWork

@@ -10,7 +10,9 @@ import pytest
 
 from annulus_pipe.cli.results import ReportContext, WindowFiles, write_results
 from annulus_pipe.job import Observation, Origin
-from annulus_pipe.reprocess import Executor, Processes, Surveyed, in_process, open_job, surveyed
+from annulus_pipe.reprocess.executors import Executor, Processes, in_process
+from annulus_pipe.reprocess.job import open_job
+from annulus_pipe.reprocess.whole import Surveyed, surveyed
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.wall.joined import Joined
 from tools.bench.speed.long_scan import STEP_MM, drawn_scan

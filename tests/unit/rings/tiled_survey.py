@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from annulus_pipe.wall import Survey
+from annulus_pipe.wall.survey import Survey
 
 
 def tiled(survey: Survey, times: int) -> Survey:

@@ -11,7 +11,7 @@ import pytest
 from annulus_pipe.record.parts import Part
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.reprocess.relabel import identity
+from annulus_pipe.scans.identity import identity
 from annulus_pipe.scans.marks import MARKS_MAX, SHOWN_PX, observations_of, read_marks
 from annulus_pipe.scans.scan import open_scan
 

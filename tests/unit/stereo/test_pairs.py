@@ -10,7 +10,8 @@ from drawn_head import RADIUS_MM, draw, head
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.storage.calibration_file import load_calibration, save_calibration
 from annulus_pipe.vocabulary import AnnulusError
 

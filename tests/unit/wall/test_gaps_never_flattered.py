@@ -11,9 +11,9 @@ from over_limit import scanned
 from synthetic_pipe import CALIBRATION, RadiusMap, round_pipe
 
 from annulus_pipe.untrusted import parse_toml
-from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.conformity import Criteria, Decision, judge
 from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey, survey
 
 GOOD = (Decision.CONFORMS, Decision.SEEN)
 WAYS = "well", "well", "every second", "some lost", "a block lost", "arc hidden"

@@ -16,11 +16,12 @@ from flooded_pipe import scan, still
 from synthetic_pipe import CALIBRATION, RADIUS_MM, RadiusMap, bump, oval, round_pipe, turn
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.wall import Profile, survey
 from annulus_pipe.wall.features import Feature, FeatureKind
 from annulus_pipe.wall.levels import covered, without_levels
+from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.refraction import WATER
 from annulus_pipe.wall.stations import not_enough_seen
+from annulus_pipe.wall.survey import survey
 
 LIMITS = {FeatureKind.WATER: 0.1, FeatureKind.DEPOSIT: 0.05}  # mm; asked are 1 and 0.3
 

@@ -10,9 +10,9 @@ from over_limit import LIMITS, Drawn, draw, scanned
 from synthetic_pipe import CALIBRATION, round_pipe
 
 from annulus_pipe.untrusted import parse_toml
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.conformity import Criteria, Decision, Verdict, judge
 from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import survey
 
 
 def verdict(drawn: Drawn, profiles: list[Profile]) -> tuple[Verdict, tuple[float, float]]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, RadiusMap, bump, opening, oval, pocket, round_pipe, scan, turn
 
-from annulus_pipe.wall import Profile, Survey, survey
 from annulus_pipe.wall.features import Feature, FeatureKind
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey, survey
 
 STATIONS = tuple(3.0 * i for i in range(32) if i % 5 != 4)
 Z_MM = 155.0

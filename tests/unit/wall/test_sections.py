@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan, turn
 
-from annulus_pipe.wall import Survey, survey
 from annulus_pipe.wall.defects import Defect, Kind
 from annulus_pipe.wall.photograph import SIDE_MAX_PX, DefectView, Shot, best_views, crop
 from annulus_pipe.wall.sections import MOST, cut, worth_showing
+from annulus_pipe.wall.survey import Survey, survey
 
 KINDS = [Kind.LOSS, Kind.BUMP, Kind.LOSS]
 PLACES = [Shot(n, n, 2.4 * n, 0) for n in range(50) if n % 5 == 4]

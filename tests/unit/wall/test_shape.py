@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, oval, round_pipe, scan, turn
 
-from annulus_pipe.wall import Profile, Survey, survey
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.grid import build_wall
 from annulus_pipe.wall.pose import fit_pose
+from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shape import fit_shape, harmonics, spread
 from annulus_pipe.wall.stations import shape_ovality, swing_sigma
+from annulus_pipe.wall.survey import Survey, survey
 
 OVAL = 0.04
 NOISE_MM, BIAS_MM = 0.12, 0.05

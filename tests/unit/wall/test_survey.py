@@ -8,11 +8,13 @@ import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall import LedFrame, Profile, Survey, survey
 from annulus_pipe.wall.centreline import Centreline, Piece
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.grid import build_wall
+from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.surface import triangulate
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.texture import LedFrame
 
 STATIONS = [3.0 * i for i in range(26)]
 

@@ -5,10 +5,12 @@ import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
 
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall import Profile, Survey, survey
 from annulus_pipe.wall.defects import Kind
 from annulus_pipe.wall.joined import Abstract, Joined, abstract, joined
-from annulus_pipe.wall.windows import Reach, WindowPlan, between, plan
+from annulus_pipe.wall.profile import Profile
+from annulus_pipe.wall.survey import Survey, survey
+from annulus_pipe.wall.windows import Reach, WindowPlan, plan
+from annulus_pipe.wall.within import between
 
 pytestmark = pytest.mark.deep(gate="tests/unit/wall/test_survey.py::test_every_figure_is_an_attribute")
 

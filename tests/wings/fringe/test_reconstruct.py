@@ -14,16 +14,17 @@ from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 from annulus_pipe.cli import main
 from annulus_pipe.geometry.calibration import Calibration, HeadCamera, camera_to_dict
 from annulus_pipe.report import ScanAccount
-from annulus_pipe.reprocess import open_job
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe import plate as module
 from annulus_pipe.wings.fringe.calibrate_pipe import _design
 from annulus_pipe.wings.fringe.calibrate_plate import calibrate_fringe, save_fringe
-from annulus_pipe.wings.fringe.job import fringes_on, open_fringe
+from annulus_pipe.wings.fringe.job import open_fringe
 from annulus_pipe.wings.fringe.measure import projector_to_dict
 from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate import reconstruct_fringe
 from annulus_pipe.wings.fringe.plate_page import write_plate
+from annulus_pipe.wings.fringe.recognise import fringes_on
 
 PLACES = (0.0, 1.0, 2.1, 3.0, 3.9, 5.2, 6.1, 7.0)
 

@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.report.paper import BUMP_BLUE, FAINT, LOSS_RED, WIDTH_IN, in_style, png
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, LOSS_RED
+from annulus_pipe.report.paper import WIDTH_IN, in_style, png
 from annulus_pipe.wings.joints.measure.statistics import LEVEL, Search, Strengths, correlate, moving_mean
 from tools.bench.joints import TABLE
 from tools.bench.table import Row

@@ -18,9 +18,9 @@ from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import clean_world
-from annulus_pipe.wall import survey
 from annulus_pipe.wall.reference import ReferenceSection
 from annulus_pipe.wall.scale import find_scale, scale_findings
+from annulus_pipe.wall.survey import survey
 from tools.bench.table import Row
 
 HEADS, FIRST_SEED = 200, 5001  # held out: no constant was set on these

@@ -12,7 +12,8 @@ import numpy as np
 from annulus_pipe.calibrate.pipe import calibrate_pipe, save_pipe
 from annulus_pipe.calibrate.pipe_picture import draw_pipe
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from tools.bench.metrology import TABLE
 from tools.bench.table import SCENES, Row
 

@@ -26,7 +26,8 @@ from annulus_pipe.geometry.cone import Cone, intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.stereo import StereoReconstructor
 from annulus_pipe.stereo.merge import Sight, merge

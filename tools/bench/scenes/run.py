@@ -12,7 +12,8 @@ from typing import Any
 
 from annulus_pipe.cli.limits_file import load_limits
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.wall.conformity import judge
 from tools.bench.scenes import __doc__ as purpose
 from tools.bench.scenes.blind import FRAMES, blind_checks, draw

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from annulus_pipe.record.writer import RecordingWriter
-from annulus_pipe.reprocess import Executor, Processes, in_process, make_ready, measure, open_job
 from annulus_pipe.reprocess.cluster import Dask, packed
-from annulus_pipe.reprocess.executors import Failed
-from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.engine import measure
+from annulus_pipe.reprocess.executors import Executor, Failed, Processes, in_process
+from annulus_pipe.reprocess.job import Job, open_job
 from annulus_pipe.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
 from annulus_pipe.reprocess.versions import measured_with
 from annulus_pipe.storage.place import StoragePath
@@ -87,7 +87,6 @@ def rows() -> list[Row]:
         folder = Path(name)
         cluster.hire(2)
         job = _scan(folder / "scan.mcap")
-        make_ready(job.calibration, print)
         spent = _Task()
         tasks, scans = [*_tasks(job, folder, cluster, spent)], [*_scans(job, folder, cluster, spent)]
         return [*tasks, *scans, *_model(job, spent)]

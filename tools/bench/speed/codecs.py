@@ -26,7 +26,9 @@ from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.viewers import preview
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.report import ScanAccount, write
-from annulus_pipe.reprocess import Processes, open_job, reprocess
+from annulus_pipe.reprocess.engine import reprocess
+from annulus_pipe.reprocess.executors import Processes
+from annulus_pipe.reprocess.job import open_job
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.stream.frames import FrameHeader
 from annulus_pipe.twin.render import Renderer

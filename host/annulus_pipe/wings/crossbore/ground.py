@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from annulus_pipe.controller import TICK_S
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.twin.cable import Cable
 from annulus_pipe.twin.image_sensor import HostClock
@@ -275,8 +275,10 @@ def _round_the_pipe(
     """(Z, T) fF over air, and loss, of the wall's surroundings, blurred along the pipe as a sector sees them."""
     each = ground.length_mm / len(ground.soils)
     eps = np.array(ground.soils)[np.minimum((z / each).astype(int), len(ground.soils) - 1)]
-    eps = gaussian_filter1d(eps, 200.0 / STEP_MM, mode="nearest")
-    soft = gaussian_filter(rng.standard_normal((len(z), len(theta))), (150.0 / STEP_MM, 6), mode=("nearest", "wrap"))
+    eps = ndimage.gaussian_filter1d(eps, 200.0 / STEP_MM, mode="nearest")
+    soft = ndimage.gaussian_filter(
+        rng.standard_normal((len(z), len(theta))), (150.0 / STEP_MM, 6), mode=("nearest", "wrap")
+    )
     soil = eps[:, None] * (1 + ground.uneven * soft / soft.std())
     soil_loss = 1.5 * soil
     level, loss = np.zeros_like(soil), np.zeros_like(soil)
@@ -301,7 +303,7 @@ def _round_the_pipe(
     for at in ground.couplings_mm:
         level -= COUPLING_FF * (np.abs(z - at) < 0.5 * COUPLING_MM)[:, None]
     blur = ALONG_MM / STEP_MM
-    return gaussian_filter1d(level, blur, axis=0), gaussian_filter1d(loss, blur, axis=0)
+    return ndimage.gaussian_filter1d(level, blur, axis=0), ndimage.gaussian_filter1d(loss, blur, axis=0)
 
 
 def _inside(bore: Bore, z: FloatArray, x: FloatArray, y: FloatArray) -> np.ndarray:
@@ -336,7 +338,7 @@ def _course(ground: Ground, rng: np.random.Generator) -> tuple[FloatArray, Float
 
 def _wander(rng: np.random.Generator, rows: int, size: float) -> FloatArray:
     """(rows,) about nought, smooth over a few seconds, of this standard deviation."""
-    slow = gaussian_filter1d(rng.standard_normal(rows + 400), 60.0)[200:-200]
+    slow = ndimage.gaussian_filter1d(rng.standard_normal(rows + 400), 60.0)[200:-200]
     return np.asarray(size * slow / slow.std())
 
 

@@ -13,7 +13,8 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.tri import Triangulation
 
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.report.paper import BUMP_BLUE, FAINT, INK, LOSS_RED, WIDTH_IN, in_style, png
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, INK, LOSS_RED
+from annulus_pipe.report.paper import WIDTH_IN, in_style, png
 from annulus_pipe.vocabulary import AnnulusError
 
 STRENGTH_V_M = (0.3, 300.0)  # shown of |E| at 1 V

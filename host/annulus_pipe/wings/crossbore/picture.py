@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from annulus_pipe.hooks import Sheet
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN
+from annulus_pipe.report.paper import WIDTH_IN, in_style, png
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.lane import Lane
 

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 def opens(scan: "Where", calibration: "Where | None", by: str) -> "FringeJob | FringePipeJob | None":
     """by : "cameras" for a plate whose heights two cameras say without the slide's own calibration."""
-    from annulus_pipe.wings.fringe.job import fringes_on, open_fringe
-    from annulus_pipe.wings.fringe.pipe import open_fringe_pipe
+    from annulus_pipe.wings.fringe.recognise import fringes_on
 
     wall = fringes_on(scan, calibration)
     if wall is None:
@@ -27,7 +26,11 @@ def opens(scan: "Where", calibration: "Where | None", by: str) -> "FringeJob | F
             "fringes on a plate"
         )
     if wall == "pipe" or calibration is None:
+        from annulus_pipe.wings.fringe.pipe import open_fringe_pipe
+
         return open_fringe_pipe(scan, calibration)
+    from annulus_pipe.wings.fringe.job import open_fringe
+
     return open_fringe(scan, calibration, "cameras" if by == "cameras" else "slide")
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
 from annulus_pipe.scans.scan import Scan, open_scan
-from annulus_pipe.storage.calibration_file import load_part, load_sections
+from annulus_pipe.storage.calibration_file import load_part
 from annulus_pipe.storage.place import Where
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label
 from annulus_pipe.wings.fringe.measure import FringeHead, FringeProjector, FringeView, Points, Transfer, told_elsewhere
@@ -28,27 +28,6 @@ DRIFT = 0.1  # share by which a point's light may change along half a track: the
 FLASH_MM = 0.05  # cameras of one flash stand no farther apart
 SHIFT_MIN = 0.1  # least singular value of DC and wave over the frames, of 1: less and they cannot be told apart
 SHIFT_LEAST_RAD = 0.5  # over the scan: three frames less apart than that are one
-
-
-def fringes_on(scan: Where, calibration: Where | None) -> Literal["plate", "pipe"] | None:
-    """Which wall a scan shows under fringes, by its calibration or the one a recording carries; None under other light.
-    Such a scan goes to `plate` or `pipe`, for a height follows from many frames together.
-
-    Raises AnnulusError where a file cannot be read."""
-    if calibration is None:
-        try:
-            known = open_scan(scan).calibration
-        except AnnulusError:  # it may be another wing's; if it is nobody's, rings say what is wrong with it
-            return None
-        return "pipe" if known is not None and known.kind == "fringe" else None
-    sections = load_sections(calibration)
-    pattern = sections.get("pattern")
-    if not isinstance(pattern, dict) or pattern.get("kind", "slits") != "fringe":
-        return None
-    slide = pattern.get("projector")
-    rings = isinstance(slide, dict) and slide.get("kind") == "rings"
-    in_pipe = rings or "projectors" in pattern or ("pipe" in sections and "distance_mm" not in sections)
-    return "pipe" if in_pipe else "plate"
 
 
 @dataclass(frozen=True, slots=True)

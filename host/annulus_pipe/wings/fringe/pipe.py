@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, Image
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.reprocess.executors import Executor, in_process
 from annulus_pipe.reprocess.job import roll_filled
 from annulus_pipe.reprocess.places import require_near
@@ -410,7 +410,9 @@ def _light_map(wall: Wall, seen: PipeMap) -> Image | None:
     count = np.bincount(cell, minlength=wall.radius_mm.size)
     total = np.bincount(cell, weights=seen.dc[seen_here], minlength=wall.radius_mm.size)
     about = [
-        gaussian_filter(one.reshape(wall.radius_mm.shape).astype(float), EVEN_CELLS, mode=("nearest", "wrap")).ravel()
+        ndimage.gaussian_filter(
+            one.reshape(wall.radius_mm.shape).astype(float), EVEN_CELLS, mode=("nearest", "wrap")
+        ).ravel()
         for one in (total, count)
     ]
     known = count > 0

@@ -17,10 +17,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_fill_holes
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.reprocess.executors import Executor, in_process
 from annulus_pipe.storage.place import StoragePath
@@ -410,7 +410,9 @@ def _joined(job: FringeJob, parts: Sequence[_PlatePart], started: float) -> Plat
         return out
 
     flag = grid("flag", TOO_FEW)
-    lit: BoolArray = binary_fill_holes(binary_closing(np.pad(flag == GOOD, COARSE), iterations=COARSE // 2))
+    lit: BoolArray = ndimage.binary_fill_holes(
+        ndimage.binary_closing(np.pad(flag == GOOD, COARSE), iterations=COARSE // 2)
+    )
     lit = lit[COARSE:-COARSE, COARSE:-COARSE] | (flag == GOOD)
     counts = Counter(int(one) for one in flag[lit & (flag != GOOD)])
     reasons = {**REASONS, AMBIGUOUS: NO_TEXTURE} if job.by == "cameras" else REASONS

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.report.account import ScanAccount
-from annulus_pipe.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
+from annulus_pipe.report.names import UNSEEN, round_up
+from annulus_pipe.report.paper import DEVIATION, WIDTH_IN, in_style, png
 from annulus_pipe.report.pdf import Paper
 from annulus_pipe.report.ply import write_ply
 from annulus_pipe.report.results import DEPTH, SUMMARY, staged, write_page

@@ -15,7 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
-from annulus_pipe.report.paper import BUMP_BLUE, FAINT, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
+from annulus_pipe.report.names import BUMP_BLUE, FAINT, INK, LOSS_RED, UNSEEN
+from annulus_pipe.report.paper import WIDTH_IN, in_style, png
 from annulus_pipe.vocabulary import AnnulusError
 
 BESIDE_MM = 12.0  # shown beside the fusion plane

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from annulus_pipe.link.codes import pattern, text
+from annulus_pipe.numeric.late import fft, interpolate
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.acoustic_file import AcousticRecord
 from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers
@@ -50,7 +50,7 @@ def simulate(
     if setup.transducer:
         highest = min(highest, setup.transducer[0] * (1 + setup.transducer[1]))
     dx = max(setup.sound_speed_m_s * 1e3 / (2.4 * highest), setup.radius_mm / 400)
-    side = scipy.fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
+    side = fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
     grid = SoundGrid((side, side), dx)
     solver = Solver(grid, Medium(setup.sound_speed_m_s))
     sent = len(chips) * setup.chip_s
@@ -105,10 +105,9 @@ def _envelope(chips: NDArray[np.uint8], chip_s: float, dt_s: float) -> NDArray[n
 
 
 def _sampled(heard: NDArray[np.floating], dt_s: float, rate_hz: float, samples: int) -> NDArray[np.float64]:
-    from scipy.interpolate import CubicSpline
 
     times = np.arange(heard.shape[1]) * dt_s
-    return np.asarray(CubicSpline(times, heard, axis=1)(np.arange(samples) / rate_hz), np.float64)
+    return np.asarray(interpolate.CubicSpline(times, heard, axis=1)(np.arange(samples) / rate_hz), np.float64)
 
 
 def coupling(setup: Setup, chips: NDArray[np.uint8], samples: int) -> NDArray[np.float64]:
@@ -127,8 +126,8 @@ def through(signals: NDArray[np.float64], setup: Setup) -> NDArray[np.float64]:
     from annulus_pipe.wings.tai.measure.templates import Transducer
 
     receiver = Transducer.band(*setup.transducer, setup.sampling_rate_hz)
-    length = scipy.fft.next_fast_len(signals.shape[1] + len(receiver.response), real=True)
-    spectrum = np.abs(scipy.fft.rfft(receiver.response, length))
-    return np.asarray(
-        scipy.fft.irfft(scipy.fft.rfft(signals, length, axis=1) * (spectrum / spectrum.max()), length, axis=1)
-    )[:, : signals.shape[1]]
+    length = fft.next_fast_len(signals.shape[1] + len(receiver.response), real=True)
+    spectrum = np.abs(fft.rfft(receiver.response, length))
+    return np.asarray(fft.irfft(fft.rfft(signals, length, axis=1) * (spectrum / spectrum.max()), length, axis=1))[
+        :, : signals.shape[1]
+    ]

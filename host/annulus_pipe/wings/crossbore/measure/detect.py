@@ -16,10 +16,9 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage, signal
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.wings.crossbore.measure.grid import NARROW_MM, STEP_MM, PipeGrid
 from annulus_pipe.wings.crossbore.measure.odds import MIDDLE, odds
@@ -163,20 +162,20 @@ def detect(
     joints_mm : along the same odometer, where something else has seen a joint of the pipe: what is alike all round and
     no longer than a coupling is one there, whatever it takes off.
     """
-    mean = gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
+    mean = ndimage.gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
     dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
     found = [
         indication for one, indication in dips if indication.kind is not BoreKind.UNKNOWN or _stands_out(one, limits)
     ]
     found += [_rise(grid, one, head, limits) for one in _places(mean, 1, limits.least_ff) if _stands_out(one, limits)]
     if grid.loss_ff is not None:
-        loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
+        loss = ndimage.gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
         found += [
             _by_loss(grid, one, head, limits) for one in _places(loss, -1, limits.loss_ff) if _stands_out(one, limits)
         ]
         decidable_mm = float(STEP_MM * np.count_nonzero(grid.seen))
     else:
-        dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
+        dry = ndimage.gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
         decidable_mm = float(STEP_MM * np.count_nonzero(grid.seen & dry))
     if _wanders(grid):
         found = [_all_round_or_unknown(one) for one in found]
@@ -256,8 +255,8 @@ def _stands_out(place: _Peak, limits: BoreLimits) -> bool:
 
 def _places(line: FloatArray, sign: int, least: float) -> list[_Peak]:
     near, far = (round(v / STEP_MM) for v in BESIDE_MM)
-    peaks, _ = find_peaks(sign * line, prominence=least, wlen=2 * far)
-    quick = line - gaussian_filter1d(line, 300.0 / STEP_MM, mode="nearest")
+    peaks, _ = signal.find_peaks(sign * line, prominence=least, wlen=2 * far)
+    quick = line - ndimage.gaussian_filter1d(line, 300.0 / STEP_MM, mode="nearest")
     found = []
     for i in peaks:
         wider = _medians(line, i - near, i + near, far - near)
@@ -357,7 +356,7 @@ def _level_middle(grid: PipeGrid, place: _Peak, head: CapacitiveHead) -> float:
     """
     rows, places, weights = [], [], []
     for k, look in enumerate(grid.looks_deg(place.middle)):
-        line = gaussian_filter1d(grid.c_ff[:, k], SMOOTH_MM / STEP_MM)
+        line = ndimage.gaussian_filter1d(grid.c_ff[:, k], SMOOTH_MM / STEP_MM)
         seen = np.radians(look + np.linspace(-0.5, 0.5, 56) * head.sector_deg)
         above = seen[np.sin(seen) < 0]
         near = round(CLOSE_MM[0] / STEP_MM)
@@ -383,7 +382,7 @@ def _half_full(grid: PipeGrid, place: _Peak, share: FloatArray, phi: float, beta
     if share.min() < -PART_WET:
         return True
     if grid.loss_ff is not None:
-        loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
+        loss = _change(ndimage.gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
         soil = float(np.median(grid.loss_ff[max(place.low - 2 * CLOSE, 0) : place.high + 2 * CLOSE]))
         dry = share < 0.2
         return bool(dry.any() and (-loss[dry]).max() > max(PART_LOSS * soil, 4.0))
@@ -405,7 +404,7 @@ def _rise(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLimits
 def _by_loss(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLimits) -> BoreIndication:
     assert grid.loss_ff is not None
     change = _change(grid.c_ff, place)
-    loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
+    loss = _change(ndimage.gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
     most = max(float((-loss).max()), 1e-9)
     phi, sigma, beta = _direction(-loss / most, grid.looks_deg(place.middle), head, LOSS_UNEVEN_FF / most)
     water = limits.water_mm[0] <= place.extent_mm <= limits.water_mm[1]
@@ -419,7 +418,7 @@ def _by_loss(grid: PipeGrid, place: _Peak, head: CapacitiveHead, limits: BoreLim
 def _beads(grid: PipeGrid) -> list[BoreIndication]:
     """Rings of plastic inside: over all sectors, shorter than anything outside can show."""
     ring = grid.raised.min(axis=1)
-    peaks, _ = find_peaks(ring, height=BEAD_FF, distance=round(MERGED_MM / STEP_MM))
+    peaks, _ = signal.find_peaks(ring, height=BEAD_FF, distance=round(MERGED_MM / STEP_MM))
     return [
         BoreIndication(float(grid.z_mm[i]), BoreKind.BEAD, STEP_MM * 2, math.nan, math.nan, grid.raised[i].copy())
         for i in peaks

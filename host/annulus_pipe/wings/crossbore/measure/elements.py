@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.linalg import splu
 
 from annulus_pipe.extras import need
 from annulus_pipe.numeric.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from annulus_pipe.numeric.late import sparse
 from annulus_pipe.vocabulary import AnnulusError
 
 EPS0_PF_PER_M = 8.8541878128
@@ -145,8 +144,8 @@ def solve(
     factor = EPS0_PF_PER_MM * weight * (value.real if lossless else value)
     raw = form.assemble(basis, eps=skfem.DiscreteField(factor))
     nodes = len(grid.axes)
-    sewn = csr_matrix((np.ones(nodes), (np.arange(nodes), grid.seam)), shape=(nodes, nodes))
-    whole = csr_matrix(sewn.T @ raw @ sewn)
+    sewn = sparse.csr_matrix((np.ones(nodes), (np.arange(nodes), grid.seam)), shape=(nodes, nodes))
+    whole = sparse.csr_matrix(sewn.T @ raw @ sewn)
     owner = np.full(nodes, -1)
     owner[far[grid.seam]] = len(conductors)
     for k, one in enumerate(conductors):
@@ -165,7 +164,11 @@ def solve(
     inner = whole[free][:, free]
     outer = -(whole[free][:, fixed] @ volts[:, fixed].T)
     if len(free) < DIRECT_MAX and not solid:
-        volts[:, free] = splu(inner.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(outer).T
+        volts[:, free] = (
+            sparse.linalg.splu(inner.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+            .solve(outer)
+            .T
+        )
     else:
         volts[:, free] = np.stack([_conjugate(inner, column) for column in outer.T])
     own = grid.seam == np.arange(nodes)
@@ -174,7 +177,7 @@ def solve(
     return ElectrodeField(grid, volts[:, grid.seam].astype(complex), charge.astype(complex), value)
 
 
-def _conjugate(matrix: csr_matrix, right: ComplexArray, tolerance: float = 1e-7) -> ComplexArray:
+def _conjugate(matrix: Any, right: ComplexArray, tolerance: float = 1e-7) -> ComplexArray:
     """COCG with a diagonal preconditioner: conjugate gradients of a complex symmetric matrix, without conjugates."""
     scale = 1 / matrix.diagonal()
     x = np.zeros_like(right)

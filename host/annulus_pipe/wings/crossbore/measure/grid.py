@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d, median_filter, uniform_filter1d
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import TUKEY, biweight, robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.crossbore.measure.readings import (
@@ -107,7 +107,9 @@ def on_grid(log: Log, head: CapacitiveHead = HEAD) -> PipeGrid:
         raise AnnulusError(f"the odometer covers {span:.0f} mm, expected {SPAN_MM[0]:.0f} to {SPAN_MM[1]:.0f}")
     why, log = _why(log, head)
     dt = np.maximum(np.diff(log.t_s, prepend=log.t_s[0]), 1e-3)
-    speed = uniform_filter1d(np.diff(log.odometer_mm, prepend=log.odometer_mm[0]) / dt, SPEED_ROWS, mode="nearest")
+    speed = ndimage.uniform_filter1d(
+        np.diff(log.odometer_mm, prepend=log.odometer_mm[0]) / dt, SPEED_ROWS, mode="nearest"
+    )
     drift, gaps = _drift(log)
     sound = why == 0
     c = np.stack([_filled(np.where(sound[:, k], 1000 * log.c_pf[:, k], np.nan)) for k in range(SECTORS)], axis=1)
@@ -131,14 +133,16 @@ def on_grid(log: Log, head: CapacitiveHead = HEAD) -> PipeGrid:
         off = np.stack([_filled(_binned(z, log.odometer_mm, log.offset_mm[:, k])) for k in range(2)], axis=1)
         c_grid, lift = _without_lift_off(c_grid, off, roll)
     half = round(NARROW_MM / STEP_MM)
-    smooth = median_filter(c_grid, (2 * half + 1, 1), mode="nearest")
+    smooth = ndimage.median_filter(c_grid, (2 * half + 1, 1), mode="nearest")
     # Each sector by itself: a head that reads every 12 mm leaves no place with readings of all three.
-    blank = uniform_filter1d((~seen).astype(float), max(1, round(BRIDGED_MM / STEP_MM)), axis=0, mode="nearest")
+    blank = ndimage.uniform_filter1d((~seen).astype(float), max(1, round(BRIDGED_MM / STEP_MM)), axis=0, mode="nearest")
     apart = smooth - smooth.mean(axis=1, keepdims=True)
-    uneven = robust_sigma(apart - gaussian_filter1d(apart, LONG_MM / STEP_MM / 6, axis=0, mode="nearest"))
+    uneven = robust_sigma(apart - ndimage.gaussian_filter1d(apart, LONG_MM / STEP_MM / 6, axis=0, mode="nearest"))
     # With what was taken for spikes: beside a jump on a slope readings look like some, and a step less is left of it.
     whole = np.stack([_binned(z, place[k][sound[:, k]], c[sound[:, k], k]) for k in range(SECTORS)], axis=1)
-    rough = median_filter(np.stack([_filled(column) for column in whole.T], axis=1), (2 * half + 1, 1), mode="nearest")
+    rough = ndimage.median_filter(
+        np.stack([_filled(column) for column in whole.T], axis=1), (2 * half + 1, 1), mode="nearest"
+    )
     lifted = _between_jumps(jumps(rough, np.isfinite(whole), STEP_MM, uneven))
     unseen = (blank > 1 - 1e-9).any(axis=1) | lifted.any(axis=1)
     gaps += joined([gap for gap in stretches(why, log.odometer_mm) if _leaves_unseen(gap, z, unseen)])
@@ -201,13 +205,15 @@ def _drift(log: Log) -> tuple[FloatArray, list[Gap]]:
     if middle <= 0 or np.count_nonzero(why == 0) < ROWS_MIN:
         return np.zeros(len(reference)), gaps  # a chip drifts by some fF in minutes, a bore is over in seconds
     drift = _filled(np.where(why == 0, reference, np.nan)) - middle
-    drift = uniform_filter1d(median_filter(drift, 2 * SPIKE_ROWS + 1, mode="nearest"), 200, mode="nearest")
+    drift = ndimage.uniform_filter1d(
+        ndimage.median_filter(drift, 2 * SPIKE_ROWS + 1, mode="nearest"), 200, mode="nearest"
+    )
     return np.asarray(drift / middle), gaps
 
 
 def _between_jumps(jumped: BoolArray) -> BoolArray:
     """(G, K) places that a jump makes unknown: beside it, and up to the next one, where it may jump back."""
-    out: BoolArray = np.asarray(maximum_filter1d(jumped, 2 * round(NARROW_MM / STEP_MM) + 1, axis=0))
+    out: BoolArray = np.asarray(ndimage.maximum_filter1d(jumped, 2 * round(NARROW_MM / STEP_MM) + 1, axis=0))
     for k, column in enumerate(jumped.T):
         at = np.flatnonzero(column)
         for a, b in pairwise(at):
@@ -239,12 +245,14 @@ def _filled(value: FloatArray) -> FloatArray:
 def _without_lift_off(c: FloatArray, off: FloatArray, roll_deg: FloatArray) -> tuple[FloatArray, float]:
     """Sectors as on the axis, and fF a mm towards the wall there: told from all places where only the head moved."""
     angle = np.radians(roll_deg[:, None] + 120.0 * np.arange(SECTORS))
-    nearer = gaussian_filter1d(off[:, :1] * np.cos(angle) + off[:, 1:] * np.sin(angle), POSE_MM / STEP_MM, axis=0)
+    nearer = ndimage.gaussian_filter1d(
+        off[:, :1] * np.cos(angle) + off[:, 1:] * np.sin(angle), POSE_MM / STEP_MM, axis=0
+    )
     terms = np.stack([nearer, nearer**2, nearer**3], axis=2)  # steeper the nearer it comes
     long = LONG_MM / STEP_MM / 6
 
     def quick(value: FloatArray) -> FloatArray:
-        return np.asarray(value - gaussian_filter1d(value, long, axis=0, mode="nearest"))
+        return np.asarray(value - ndimage.gaussian_filter1d(value, long, axis=0, mode="nearest"))
 
     apart = quick(c)
     x = quick(terms).reshape(-1, 3)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 
 SECTORS = 3
@@ -100,10 +100,10 @@ def doubted(values: FloatArray, z_mm: FloatArray, low: float, high: float, noise
         if known.sum() > LOOSE_ROWS:
             why[_stuck(np.where(known, column, np.nan), z_mm), k] = _code(NoReadingReason.STUCK)
     filled = np.stack([_bridged(column, why[:, k] == 0) for k, column in enumerate(values.T)], axis=1)
-    often = uniform_filter1d(spikes(filled, noise_most).astype(float), LOOSE_ROWS, axis=0, mode="nearest")
-    loose = maximum_filter1d(often > LOOSE_PART, 2 * LOOSE_ROWS + 1, axis=0)
+    often = ndimage.uniform_filter1d(spikes(filled, noise_most).astype(float), LOOSE_ROWS, axis=0, mode="nearest")
+    loose = ndimage.maximum_filter1d(often > LOOSE_PART, 2 * LOOSE_ROWS + 1, axis=0)
     failed = (why > 0) & (why != _code(NoReadingReason.NONE))
-    beside = maximum_filter1d(failed.astype(np.int8), 2 * SPIKE_ROWS + 1, axis=0) > 0
+    beside = ndimage.maximum_filter1d(failed.astype(np.int8), 2 * SPIKE_ROWS + 1, axis=0) > 0
     why[beside & (why == 0)] = _nearest(why, failed)[beside & (why == 0)]
     why[loose & (why == 0)] = _code(NoReadingReason.LOOSE)
     return why
@@ -115,7 +115,7 @@ def spikes(c: FloatArray, noise_most: float = NOISE_MOST_FF) -> BoolArray:
     What readings usually scatter by is also what they differ by one after the other: a head that swings between the
     walls leaves its median at the ends of each swing only.
     """
-    off = c - median_filter(c, (2 * SPIKE_ROWS + 1, 1), mode="nearest")
+    off = c - ndimage.median_filter(c, (2 * SPIKE_ROWS + 1, 1), mode="nearest")
     usual = max(robust_sigma(off), robust_sigma(np.diff(c, axis=0)) / math.sqrt(2.0), 0.3)
     least = OFF * min(max(usual, *(_step(column) for column in c.T)), noise_most)
     bead = (off > least).all(axis=1) if c.shape[1] > 1 else np.zeros(len(c), bool)
@@ -160,7 +160,7 @@ def jumps(smooth: FloatArray, seen: BoolArray, step_mm: float, uneven_ff: float)
     over = round(EDGE_OVER_MM / step_mm)  # one that is over in a step may lie in two, with nothing read between
     change = smooth[over:] - smooth[:-over]
     near = 2 * round(EDGE_MM / step_mm) + 1
-    height = maximum_filter1d(smooth, near, axis=0) - minimum_filter1d(smooth, near, axis=0)
+    height = ndimage.maximum_filter1d(smooth, near, axis=0) - ndimage.minimum_filter1d(smooth, near, axis=0)
     least = JUMP_FF + uneven_ff + OFF * min(robust_sigma(change), NOISE_MOST_FF)
     edge = np.abs(change) > np.maximum(least, EDGE_PART * np.minimum(height[over:], height[:-over]))
     edge &= seen[over:] & seen[:-over]
@@ -216,4 +216,4 @@ def _bridged(column: FloatArray, known: BoolArray) -> FloatArray:
 
 def _nearest(why: IntArray, failed: BoolArray) -> IntArray:
     """(N, K) the reason of what is next to a reading, within a spike's rows."""
-    return np.asarray(maximum_filter1d(np.where(failed, why, 0), 2 * SPIKE_ROWS + 1, axis=0))
+    return np.asarray(ndimage.maximum_filter1d(np.where(failed, why, 0), 2 * SPIKE_ROWS + 1, axis=0))

@@ -22,11 +22,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.optimize import least_squares
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.numeric.robust import CAUCHY, cauchy, robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX, FringeProjector
@@ -167,7 +166,7 @@ def _carrier(plate: ReferencePlate) -> FloatArray:
     light = np.nan_to_num(plate.light, nan=float(np.nanmax(plate.light)))
     height, width = light.shape
     window = np.hanning(height)[:, None] * np.hanning(width)
-    smooth = light - gaussian_filter(light, min(height, width) / CYCLES_MIN)
+    smooth = light - ndimage.gaussian_filter(light, min(height, width) / CYCLES_MIN)
     power = np.abs(np.fft.rfft2(smooth * window)) ** 2
     fv, fu = np.meshgrid(np.fft.fftfreq(height), np.fft.rfftfreq(width), indexing="ij")
     size = np.hypot(fu, fv)
@@ -186,9 +185,9 @@ def _rough(plate: ReferencePlate, carrier: FloatArray) -> _Tiles:
     period = 1 / float(np.hypot(*carrier))
     u, v = np.arange(width), np.arange(height)
     wave = np.exp(-2j * np.pi * (carrier[0] * u + carrier[1] * v[:, None]))
-    dc = gaussian_filter(light, WINDOW_PERIODS * period)
+    dc = ndimage.gaussian_filter(light, WINDOW_PERIODS * period)
     down = (light - dc) * wave
-    lock = [gaussian_filter(part, WINDOW_PERIODS * period) for part in (down.real, down.imag)]
+    lock = [ndimage.gaussian_filter(part, WINDOW_PERIODS * period) for part in (down.real, down.imag)]
     step = max(round(period / 2), 1)
     pick = np.ix_(v[step::step], u[step::step])
     signal = (lock[0] + 1j * lock[1])[pick]
@@ -245,7 +244,7 @@ def _ordered(plates: Sequence[ReferencePlate], rough: list[_Tiles], carrier: Flo
         held = [50 * values[2:4], [0.02 * values[1]]]
         return np.concatenate([one - np.mean(one) for one in off(np.array([0.0, *values[1:]]), alone)] + held)
 
-    shaped = least_squares(shape, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1]).x
+    shaped = optimize.least_squares(shape, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1]).x
     best: dict[tuple[int, ...], tuple[float, FloatArray]] = {}
     for across in np.arange(-ACROSS_MAX_MM, ACROSS_MAX_MM, ACROSS_STEP_MM):
         means = np.array([float(np.mean(one)) for one in off(np.array([across, *shaped[1:6], 0.0]), alone)])
@@ -296,7 +295,7 @@ def _explained(
         frames = zip(off(values, which), orders, strict=True)
         return np.concatenate([one[::7] - 2 * np.pi * k for one, k in frames] + [5 * values[2:4]])
 
-    found = least_squares(rest, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], max_nfev=40)
+    found = optimize.least_squares(rest, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], max_nfev=40)
     return float(np.sqrt(np.mean(rest(found.x)[:-2] ** 2))), found.x
 
 
@@ -365,7 +364,7 @@ def _fit(
 
     values, jacobian = start, np.empty((0, 0))
     for _ in range(ROUNDS):
-        found = least_squares(rest, values, x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], xtol=1e-14, ftol=1e-14)
+        found = optimize.least_squares(rest, values, x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], xtol=1e-14, ftol=1e-14)
         values, jacobian = found.x, found.jac
         off = rest(values) / np.sqrt(weight)
         weight = cauchy(off / max(CAUCHY * robust_sigma(off), 1e-9))

@@ -9,9 +9,9 @@ scratch 0.8 mm wide from 0.40 to 0.41 of 0.5 mm, and makes edges and noise worse
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wings.fringe.measure.heights import Heights, Points
 
 AROUND = 9  # points: the wall's own slope
@@ -30,7 +30,7 @@ def edged(points: Points, found: Heights, blur_mm: float) -> Heights:
         step = float(np.median(np.linalg.norm(np.diff(base, axis=axis), axis=2)))
         rise = (_beside(h, axis, -1) - _beside(h, axis, 1)) / (2 * step)
         rise = np.where(np.isfinite(rise), rise, 0.0)
-        slope += (rise - median_filter(rise, AROUND)) ** 2
+        slope += (rise - ndimage.median_filter(rise, AROUND)) ** 2
         noise += np.nan_to_num(sum(_beside(sigma, axis, way) ** 2 for way in (1, -1))) / (4 * step**2)
     beside = blur_mm**2 * np.maximum(slope - NOISE * noise, 0.0)
     return replace(found, sigma_mm=np.sqrt(sigma**2 + beside).ravel())

@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import find_objects, label
-from scipy.optimize import least_squares
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import TUKEY, biweight, robust_sigma
 from annulus_pipe.wings.fringe.measure.bore import FRAMES, HeadFrames
@@ -345,7 +344,7 @@ def _fitted(cut: _Cut, start: FloatArray) -> _GrooveFit:
         return np.stack([(left(p + way) - here) / way.sum() for way in ways], axis=1)
 
     start = np.clip(start, np.add(bounds[0], scale / 2), np.subtract(bounds[1], scale / 2))
-    found = least_squares(left, start, slopes, bounds, x_scale=scale, ftol=SETTLED, xtol=SETTLED / 100)
+    found = optimize.least_squares(left, start, slopes, bounds, x_scale=scale, ftol=SETTLED, xtol=SETTLED / 100)
     scatter = max(2.0 * float(found.cost) / (cut.grey.size - rows - UNKNOWNS), 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * scatter
     return _GrooveFit(found.x, covariance, found.fun[: cut.grey.size].reshape(cut.grey.shape), 2.0 * float(found.cost))
@@ -359,7 +358,7 @@ def _narrow_losses(
     outer = height - np.nanmedian(height)
     with np.errstate(invalid="ignore"):
         deep = (outer > STARTS * sigma) & (outer > STARTS * robust_sigma(outer[np.isfinite(outer)]))
-    runs, count = label(deep, structure=[[0, 1, 0], [0, 1, 0], [0, 1, 0]])
+    runs, count = ndimage.label(deep, structure=[[0, 1, 0], [0, 1, 0], [0, 1, 0]])
     if not count:
         return np.zeros(height.shape, bool), []
     size = np.bincount(runs.ravel(), minlength=count + 1) * (z_mm[1] - z_mm[0])
@@ -370,7 +369,7 @@ def _narrow_losses(
     )
     narrow = size < depth * hidden + NARROW_BLURS * blur
     narrow[0] = False
-    places = [one for one, is_narrow in zip(find_objects(runs), narrow[1:], strict=True) if is_narrow]
+    places = [one for one, is_narrow in zip(ndimage.find_objects(runs), narrow[1:], strict=True) if is_narrow]
     return np.asarray(narrow[runs]), [(one[1].start, one[0].start, one[0].stop) for one in places]
 
 

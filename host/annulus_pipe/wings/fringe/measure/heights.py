@@ -12,10 +12,10 @@ are decided. Where none does, the height is NaN and its flag AMBIGUOUS.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import spline_filter
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
@@ -217,7 +217,7 @@ def spline(images: Float32Array) -> Float32Array:
     for one, into in zip(images, out, strict=True):
         missing = ~np.isfinite(one)
         filled = np.where(missing, np.nanmax(one), one) if missing.any() else one
-        spline_filter(filled, order=3, output=into, mode="mirror")
+        ndimage.spline_filter(filled, order=3, output=into, mode="mirror")
         into[missing] = np.nan
     return out
 

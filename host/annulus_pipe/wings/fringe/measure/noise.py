@@ -8,9 +8,8 @@ light is shot noise over a floor; undoing a transfer curve and JPEG add a part t
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.stats import chi2
 
+from annulus_pipe.numeric.late import optimize, special
 from annulus_pipe.wings.fringe.measure.heights import Heights
 from annulus_pipe.wings.fringe.measure.track import GOOD
 
@@ -28,7 +27,7 @@ def noise_of(found: Heights, before: tuple[float, float, float] = (1.0, 0.0, 0.0
     if good.sum() < BIN_POINTS:
         return before
     free, level = free[good], found.dc[good]
-    variance = found.misfit[good] / chi2.ppf(0.5, free)
+    variance = found.misfit[good] / special.chdtri(free, 0.5)
     square = level**2 + found.ac[good] ** 2 / 2  # mean of I^2 along the wave
     edges = np.quantile(level, np.linspace(0, 1, BINS + 1))
     rows, values = [], []
@@ -40,5 +39,5 @@ def noise_of(found: Heights, before: tuple[float, float, float] = (1.0, 0.0, 0.0
             values.append(1.0)
     if not rows:
         return before
-    a, b, c = nnls(np.array(rows), np.array(values))[0]
+    a, b, c = optimize.nnls(np.array(rows), np.array(values))[0]
     return max(float(a), FLOOR), float(b), float(c)

@@ -9,9 +9,9 @@ wall has texture, and two cameras see it from different sides; elsewhere nothing
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wings.fringe.measure.heights import FringeView, Points, heights
 from annulus_pipe.wings.fringe.measure.track import GOOD
 
@@ -73,11 +73,11 @@ def _alike(one: FloatArray, other: FloatArray) -> float:
     both = np.isfinite(one + other)
     if both.sum() < SEEN_MIN:
         return 0.0
-    share = np.maximum(gaussian_filter(both.astype(float), FINE_CELLS), 1e-3)
+    share = np.maximum(ndimage.gaussian_filter(both.astype(float), FINE_CELLS), 1e-3)
     fine = []
     for texture in (one, other):
         whole = np.where(both, texture, 0.0)
-        rest = (whole - gaussian_filter(whole, FINE_CELLS) / share)[both]
+        rest = (whole - ndimage.gaussian_filter(whole, FINE_CELLS) / share)[both]
         fine.append(np.clip(rest, *np.percentile(rest, CLIPPED)))
     spread = float(np.std(fine[0]) * np.std(fine[1]))
     return float(np.mean((fine[0] - fine[0].mean()) * (fine[1] - fine[1].mean()))) / spread if spread > 0 else 0.0

@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_erosion, label, uniform_filter
 
 from annulus_pipe.geometry.cone import intersect_cylinder
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Image, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure import groove
@@ -224,7 +224,7 @@ def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, t
             raise AnnulusError(BESIDE)
         longest = int(min(2 * np.pi / max(float(np.percentile(rate, 5)), 1e-3), lens.width / 8)) | 1
         on = cv2.morphologyEx(on, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (longest, longest)))
-    lit = np.asarray(binary_erosion((on > 0) & whole & np.isfinite(ahead), iterations=REACH_PX))
+    lit = np.asarray(ndimage.binary_erosion((on > 0) & whole & np.isfinite(ahead), iterations=REACH_PX))
     if lit.sum() < LIT_LEAST * lit.size:
         raise AnnulusError("no wall is lit in all frames: are they saturated, or of another slide?")
     near, far = (float(one) for one in np.quantile(ahead[lit], [0.0005, 0.9995]))
@@ -413,11 +413,11 @@ def _decided(
         return found
     spacing = 2 * np.pi / np.abs(head.view.radians_per_mm(points, np.nan_to_num(h)))
     near = CONTINUOUS * float(np.median(spacing[good]))
-    smooth = uniform_filter(np.nan_to_num(h).reshape(shape), 3) / np.maximum(
-        uniform_filter(good.reshape(shape).astype(float), 3), 1e-9
+    smooth = ndimage.uniform_filter(np.nan_to_num(h).reshape(shape), 3) / np.maximum(
+        ndimage.uniform_filter(good.reshape(shape).astype(float), 3), 1e-9
     )
     joined = good.reshape(shape) & (np.abs(np.nan_to_num(h).reshape(shape) - smooth) < near)
-    surface, count = label(joined, structure=np.ones((3, 3)))
+    surface, count = ndimage.label(joined, structure=np.ones((3, 3)))
     every = np.flatnonzero(good)[:: max(int(good.sum()) // TRIED, 1)]
     tried = points.some(every)
     plain = followed(head, images, tried, h[every], noise)

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import transform
 from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, look_around
@@ -159,7 +159,7 @@ class PlacedHead:
     @property
     def view(self) -> EyeFrames:
         """AnnulusError where an eye has fewer than three frames, or did not move between them."""
-        turns, count = np.asarray(Rotation.from_rotvec(self.poses[:, :3]).as_matrix()), len(self.eye)
+        turns, count = np.asarray(transform.Rotation.from_rotvec(self.poses[:, :3]).as_matrix()), len(self.eye)
         away = -np.einsum("nij,nj->ni", turns, self.poses[:, 3:])
         widest = max(len(eye.projector.numbers) for eye in self.eyes)
         out = EyeFrames(
@@ -232,7 +232,9 @@ def shaded(head: PlacedHead, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def changed(projector: FringeProjector, step: FloatArray) -> FringeProjector:
     """A projector whose numbers (LAW) and harmonics are changed by a step."""
-    turn = np.asarray(Rotation.from_rotvec([step[3], step[4], 0.0]).as_matrix() @ np.array(projector.rotation))
+    turn = np.asarray(
+        transform.Rotation.from_rotvec([step[3], step[4], 0.0]).as_matrix() @ np.array(projector.rotation)
+    )
     x, y, z = (float(a + b) for a, b in zip(projector.centre_mm, step[:3], strict=True))
     harmonics = np.zeros(max(len(projector.harmonics), len(step) - LAW))
     harmonics[: len(projector.harmonics)] = projector.harmonics
@@ -382,11 +384,11 @@ def _moves(head: PlacedHead, x: FloatArray) -> FloatArray:
     """(F, P, POSE, 3): how far what the head sees at points x goes, mm, per unit of each number of a pose."""
     out = np.zeros((len(head.poses), len(x), POSE, 3))
     out[..., 3:, :] = np.eye(3)
-    turns = np.asarray(Rotation.from_rotvec(head.poses[:, :3]).as_matrix())
+    turns = np.asarray(transform.Rotation.from_rotvec(head.poses[:, :3]).as_matrix())
     for i in range(3):
         step = np.zeros(3)
         step[i] = EPSILON
-        other = np.asarray(Rotation.from_rotvec(head.poses[:, :3] + step).as_matrix())
+        other = np.asarray(transform.Rotation.from_rotvec(head.poses[:, :3] + step).as_matrix())
         for n, m in enumerate(head.poses[:, 3:]):
             out[n, :, i] = (((x - m) @ turns[n].T) @ other[n] - (x - m)) / EPSILON
     return out

@@ -8,9 +8,9 @@ more than half the wall is damaged.
 """
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_dilation, convolve, label
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, robust_sigma
 from annulus_pipe.wall.defects import UNSURE, Defect, Kind
 from annulus_pipe.wings.fringe.measure.pipe import PipeMap
@@ -63,7 +63,7 @@ def _is_ripple(one: Defect, place: BoolArray, found: list[tuple[Defect, BoolArra
     """Whether a place is the swing to the other side that the blur of a deeper one's edge leaves beside it."""
     if np.count_nonzero(place.any(axis=1)) > RIPPLE_ROWS:
         return False
-    wide = binary_dilation(place, np.ones((3, 3)), iterations=RIPPLE_ROWS)
+    wide = ndimage.binary_dilation(place, np.ones((3, 3)), iterations=RIPPLE_ROWS)
     return any(
         other.kind is not one.kind and one.depth_mm < RIPPLE_DEPTH * other.depth_mm and bool((wide & cells).any())
         for other, cells in found
@@ -108,14 +108,14 @@ def _strips() -> list[FloatArray]:
 def _wrapped(field: FloatArray, kernel: FloatArray) -> FloatArray:
     wide = kernel.shape[1] // 2
     padded = np.pad(field, ((0, 0), (wide, wide)), mode="wrap")
-    return np.asarray(convolve(padded, kernel, mode="constant")[:, wide:-wide])
+    return np.asarray(ndimage.convolve(padded, kernel, mode="constant")[:, wide:-wide])
 
 
 def _places(cells: BoolArray, core: BoolArray, dark: BoolArray) -> list[BoolArray]:
     """Joined cells around cores, also across what lies in the dark of their rims; what touches the seam of the map goes
     on at its other side."""
-    joined = binary_closing(cells, np.ones((3, 3))) | cells | dark
-    marks, count = label(joined, structure=np.ones((3, 3)))
+    joined = ndimage.binary_closing(cells, np.ones((3, 3))) | cells | dark
+    marks, count = ndimage.label(joined, structure=np.ones((3, 3)))
     for j in range(len(marks)):
         for i in (j - 1, j, j + 1):
             if 0 <= i < len(marks) and marks[j, 0] and marks[i, -1] and marks[j, 0] != marks[i, -1]:

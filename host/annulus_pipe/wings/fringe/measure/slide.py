@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import j1
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import special
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import FringeProjector
 
@@ -54,7 +54,7 @@ class RingSlide:
         """(...) what the defocus leaves of a ring's modulation, 0 .. 1: 2 J1(x) / x of a disc."""
         rate = np.abs(self.phase(radius_mm + 1e-6) - self.phase(radius_mm - 1e-6)) / 2e-6
         x = np.maximum(rate * self.defocus_mm / 2, 1e-9)
-        return np.asarray(np.abs(2 * j1(x) / x))
+        return np.asarray(np.abs(2 * special.j1(x) / x))
 
     @property
     def rings(self) -> int:

@@ -13,10 +13,10 @@ unless the texture's way through the pictures (`stretch`) contradicts it beyond 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points, heights
@@ -202,5 +202,5 @@ def _residual(
     grey = np.empty(phase.shape)
     for n, image in enumerate(images):
         u, v = view.pixels(x, n)
-        grey[n] = map_coordinates(image, [v, u], order=3, prefilter=False, cval=np.nan, output=float)
+        grey[n] = ndimage.map_coordinates(image, [v, u], order=3, prefilter=False, cval=np.nan, output=float)
     return grey - dc - ac * wave, wave

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from annulus_pipe.geometry.calibration import HeadCamera
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points
@@ -247,7 +247,7 @@ def _phase(
     value, phase = np.empty((len(images), len(x))), np.empty((len(images), len(x)))
     for n, image in enumerate(images):
         u, v = view.pixels(x, n)
-        value[n] = map_coordinates(image, [v, u], order=3, prefilter=False, cval=np.nan, output=float)
+        value[n] = ndimage.map_coordinates(image, [v, u], order=3, prefilter=False, cval=np.nan, output=float)
         phase[n] = view.phase(x, n)
     fine = np.isfinite(value)
     value, used = np.where(fine, value, 0.0), fine.sum(axis=0).astype(float)

@@ -15,9 +15,9 @@ a flat plate and nothing off fringe-a; least squares in place of the peak are 0.
 
 import cv2
 import numpy as np
-from scipy.fft import fftfreq, irfft2, rfft2, rfftfreq
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
+from annulus_pipe.numeric.late import fft
 from annulus_pipe.numeric.robust import CAUCHY, cauchy, robust_sigma
 from annulus_pipe.wings.fringe.measure.heights import FringeView, Points
 
@@ -108,10 +108,10 @@ def _shift(one: Float32Array, other: Float32Array, whole: IntArray) -> FloatArra
         if min(first.shape, default=0) < SIDE_MIN_PX:
             return None
         window = cv2.createHanningWindow(first.shape[::-1], cv2.CV_32F)
-        cross = np.conj(rfft2(first * window)) * rfft2(second * window)
-        square = np.add.outer(fftfreq(first.shape[0]) ** 2, rfftfreq(first.shape[1]) ** 2)
+        cross = np.conj(fft.rfft2(first * window)) * fft.rfft2(second * window)
+        square = np.add.outer(fft.fftfreq(first.shape[0]) ** 2, fft.rfftfreq(first.shape[1]) ** 2)
         cross = cross / np.maximum(np.abs(cross), 1e-20) * np.exp(-2 * (np.pi * PEAK_PX) ** 2 * square)
-        peak = irfft2(cross, s=first.shape)
+        peak = fft.irfft2(cross, s=first.shape)
         if not peak.max() > STANDS_OUT * peak.std():
             return None
         v, u = np.unravel_index(np.argmax(peak), peak.shape)

@@ -13,9 +13,9 @@ points is no property of walls. Assumed: height and texture are independent on t
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import CAUCHY, cauchy, robust_sigma
 from annulus_pipe.wings.fringe.measure.heights import FringeView, Heights, Points
 
@@ -69,6 +69,6 @@ def _slope(view: FringeView, points: Points, found: Heights) -> FloatArray:
 
 def _rough(values: FloatArray, good: BoolArray, shape: tuple[int, int]) -> FloatArray:
     """What is left of values (0 where not good) when the mean of the good ones around is taken out."""
-    share = uniform_filter(good.reshape(shape).astype(float), WINDOW)
-    mean = uniform_filter(values.reshape(shape), WINDOW) / np.maximum(share, 1e-9)
+    share = ndimage.uniform_filter(good.reshape(shape).astype(float), WINDOW)
+    mean = ndimage.uniform_filter(values.reshape(shape), WINDOW) / np.maximum(share, 1e-9)
     return np.asarray(values - mean.ravel())

@@ -7,9 +7,9 @@ curve: the joint has no part in it, so it is not shrunk.
 """
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.native import door
 
 DRIFT_ORDER = 4  # of the slow curve along z; noise of a whole plane is a thousandth
@@ -35,7 +35,7 @@ def wall_samples(
 def air_level(air: FloatArray, plain: BoolArray) -> FloatArray:
     """(Z, P) how far each place's air lies over that of plain planes, smoothed. air : (Z, P) grey of the bore."""
     sigma = AIR_ROUND_DEG / 360 * air.shape[1]
-    smooth = gaussian_filter1d(np.nan_to_num(air, nan=float(np.nanmean(air))), sigma, axis=1, mode="wrap")
+    smooth = ndimage.gaussian_filter1d(np.nan_to_num(air, nan=float(np.nanmean(air))), sigma, axis=1, mode="wrap")
     return np.asarray(smooth - np.median(smooth[plain], axis=0))
 
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, label, median_filter
-from scipy.ndimage import maximum as peaks
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage
 
 SIZES = (0.8, 1.4)  # voxels: standard deviations of the bells
 THRESHOLD = 7.0  # sigma: of a million voxels none by chance, with room for what noise of reconstructions leaves alike
@@ -48,7 +47,7 @@ def surroundings(relative: Float32Array) -> FloatArray:
     edge = np.linspace(0, count, blocks + 1).astype(int)
     inner = relative[:, :, relative.shape[2] // 5 : max(relative.shape[2] * 4 // 5, 1)]
     some = np.stack([np.median(inner[:, a:b], axis=(1, 2)) for a, b in pairwise(edge)], axis=1)
-    some = median_filter(some, size=(1, min(BLOCKS, blocks)), mode="wrap")
+    some = ndimage.median_filter(some, size=(1, min(BLOCKS, blocks)), mode="wrap")
     at = (np.arange(count) + 0.5) / count * blocks - 0.5
     low = np.floor(at).astype(int)
     part = at - low
@@ -78,7 +77,7 @@ def flaws_of(
     score = np.zeros(over.shape, np.float32)
     for size in SIZES:
         bell = [size * voxel_mm / c for c in cell]
-        smooth = gaussian_filter(over, bell, mode=("nearest", "wrap", "nearest"), truncate=3.0)
+        smooth = ndimage.gaussian_filter(over, bell, mode=("nearest", "wrap", "nearest"), truncate=3.0)
         smooth /= 1.4826 * np.median(np.abs(smooth[::2, ::2]), axis=(0, 1))
         better = np.abs(smooth) > np.abs(score)
         score[better] = smooth[better]
@@ -88,10 +87,10 @@ def flaws_of(
     start = int(np.argmin(hot.sum(axis=(0, 2))))
     score, hot, over = (np.roll(a, -start, axis=1) for a in (score, hot, over))
     for sign in (-1, 1):
-        parts, number = label(hot & (sign * score > 0), structure=np.ones((3, 3, 3)))
+        parts, number = ndimage.label(hot & (sign * score > 0), structure=np.ones((3, 3, 3)))
         if not number:
             continue
-        top = peaks(np.abs(score), parts, np.arange(1, number + 1))
+        top = ndimage.maximum(np.abs(score), parts, np.arange(1, number + 1))
         for n in np.flatnonzero(top > THRESHOLD) + 1:
             at = np.argwhere(parts == n)
             weight = np.abs(over[tuple(at.T)]) + 1e-9

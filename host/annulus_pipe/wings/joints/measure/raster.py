@@ -18,10 +18,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import interp1d
-from scipy.optimize import minimize
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.late import interpolate, optimize
 from annulus_pipe.vocabulary import AnnulusError
 
 ODDS = math.log(100.0)  # of likelihood, between what is decided and what is not
@@ -339,7 +338,7 @@ def _refined(
     assert rows is not None
     x = _vector(begin)
     spread = np.diag([2 * math.pi / fit.n, 0.5, 0.3, 0.3])
-    found = minimize(
+    found = optimize.minimize(
         lambda v: fit.cost(_place(v), rows),
         x,
         method="Nelder-Mead",
@@ -443,6 +442,8 @@ def _laid(
     laid = []
     for one in (values, material):
         turned = one[:, order][:, :, left] * (1 - part) + one[:, order][:, :, (left + 1) % fit.n] * part
-        along_z = interp1d(height[order], turned, axis=1, bounds_error=False, fill_value=np.nan, assume_sorted=True)
+        along_z = interpolate.interp1d(
+            height[order], turned, axis=1, bounds_error=False, fill_value=np.nan, assume_sorted=True
+        )
         laid.append(np.asarray(along_z(z)))
     return laid[0], laid[1]

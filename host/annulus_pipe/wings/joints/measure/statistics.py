@@ -23,9 +23,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import pearsonr
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import stats
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.distance import distance_correlation
 
@@ -202,7 +202,7 @@ def correlate(
             _share(best[:, column], float(best[:, column].max())),
             rotated[column][0],
             rotated[column][1],
-            float(pearsonr(seen, strengths.energy).pvalue),
+            float(stats.pearsonr(seen, strengths.energy).pvalue),
             *distances[column],
             seen,
             best[1:, column],

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import theilslopes
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import stats
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.axis import VolumeAxis, fit_axis
@@ -106,7 +106,7 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     for _ in range(2):  # once more with what the faces said of their own tilt
         block = _block(volume, pose, z_mm, aside, rho, progress)
         surface = edges(block, rho, level)
-        tilt = theilslopes(nan_median(0.5 * (surface[0] + surface[1])), aside).slope
+        tilt = stats.theilslopes(nan_median(0.5 * (surface[0] + surface[1])), aside).slope
         pose = replace(pose, normal=pose.normal - math.atan(tilt))
     # Curved across as the pipe was: what that adds is the same in all planes.
     faces = [np.nanmean(s - nan_median(s), axis=1)[:, None] + float(np.nanmean(nan_median(s))) for s in surface]

@@ -11,10 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
-from scipy.special import erf
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus_pipe.numeric.late import ndimage, special
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median
 from annulus_pipe.vocabulary import AnnulusError
@@ -61,7 +60,7 @@ class Sides:
     def stepped(self, z_mm: FloatArray, fusion_mm: FloatArray) -> FloatArray:
         """(Z, P) mm: each side's own, from one to the other at the fusion plane (P,) as voxels see a step."""
         blur = STEP_BLUR * abs(z_mm[1] - z_mm[0])
-        side = erf((z_mm[:, None] - fusion_mm) / (math.sqrt(2) * blur))  # -1 .. 1
+        side = special.erf((z_mm[:, None] - fusion_mm) / (math.sqrt(2) * blur))  # -1 .. 1
         half = 0.5 * (self.hilo_mm + (self.slope[1] - self.slope[0]) * (z_mm - self.joint_mm)[:, None])
         return np.asarray(self.middle(z_mm) + side * half)
 
@@ -73,7 +72,7 @@ class Sides:
 
 def smooth_round(values: FloatArray, sigma: float) -> FloatArray:
     """Gaussian along the last axis, a full turn."""
-    return np.asarray(gaussian_filter1d(values, sigma, axis=-1, mode="wrap")) if sigma > 0.05 else values
+    return np.asarray(ndimage.gaussian_filter1d(values, sigma, axis=-1, mode="wrap")) if sigma > 0.05 else values
 
 
 def plain_planes(
@@ -81,7 +80,7 @@ def plain_planes(
 ) -> tuple[BoolArray, tuple[float, float]]:
     """(Z,) planes of plain wall only, and where beads begin and end along z, mm. `outer`, `inner` (Z, P), mm."""
     wall = outer - inner
-    smooth = uniform_filter1d(wall, max(3, wall.shape[1] // 90), axis=1, mode="wrap")
+    smooth = ndimage.uniform_filter1d(wall, max(3, wall.shape[1] // 90), axis=1, mode="wrap")
     thick = np.percentile(np.nan_to_num(smooth - nan_median(wall)), 95, axis=1)
     bead = thick > max(0.6 * voxel_mm, 0.03 * wall_mm)
     index = int(np.argmin(np.abs(z_mm - joint_mm)))

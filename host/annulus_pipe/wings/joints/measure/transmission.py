@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
+from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -119,14 +119,14 @@ def transmission(z_mm: FloatArray, mv: FloatArray, thickness_mm: FloatArray | No
     inside = (z_mm >= joint[0]) & (z_mm <= joint[1])
     width = int(inside.sum())
     depth = np.nanmean(absorbance[:, inside], axis=1)
-    means = uniform_filter1d(np.nan_to_num(absorbance), width, axis=1)
+    means = ndimage.uniform_filter1d(np.nan_to_num(absorbance), width, axis=1)
     depth_sigma = np.array([robust_sigma(one[plain] - np.median(one[plain])) for one in means])
     kernel = np.concatenate([np.full(KERNEL, 1.0), np.full(KERNEL, -1.0)]) / (KERNEL * KERNEL * step)
     filled = np.where(np.isfinite(lines), lines, own[:, None])
     gradient = np.stack([np.convolve(one, kernel, "same") for one in filled])
     window = max(round(WINDOW_MM / step), 2)
-    mean = uniform_filter1d(filled, window, axis=1)
-    deviation = np.sqrt(np.maximum(uniform_filter1d(filled**2, window, axis=1) - mean**2, 0.0))
+    mean = ndimage.uniform_filter1d(filled, window, axis=1)
+    deviation = np.sqrt(np.maximum(ndimage.uniform_filter1d(filled**2, window, axis=1) - mean**2, 0.0))
     inner = plain & (z_mm > z_mm[0] + WINDOW_MM) & (z_mm < z_mm[-1] - WINDOW_MM)
     return Transmission(
         z_mm,
@@ -168,7 +168,7 @@ def thickness_along(
 def _aligned(z: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) shifts that lay the lines on their median, their mean 0, and their sigma."""
     step = float(z[1] - z[0])
-    smooth = gaussian_filter1d(y, SMOOTH_MM / step, axis=1)
+    smooth = ndimage.gaussian_filter1d(y, SMOOTH_MM / step, axis=1)
     tried = np.arange(-SHIFT_MM, SHIFT_MM + step, FINE * step)
     shift, noise = np.zeros(len(y)), robust_sigma(np.diff(y, axis=1)) / np.sqrt(2)
     inner = (z > z[0] + SHIFT_MM) & (z < z[-1] - SHIFT_MM)
@@ -197,7 +197,7 @@ def _joint(z: FloatArray, lines: FloatArray) -> tuple[float, float]:
     """Where the dip of the aligned lines' median begins and ends."""
     whole = np.isfinite(lines).all(axis=0)
     mean = np.median(np.nan_to_num(lines), axis=0)
-    smooth = gaussian_filter1d(np.where(whole, mean, np.median(mean[whole])), SMOOTH_MM / float(z[1] - z[0]))
+    smooth = ndimage.gaussian_filter1d(np.where(whole, mean, np.median(mean[whole])), SMOOTH_MM / float(z[1] - z[0]))
     base = float(np.median(smooth))
     scatter = robust_sigma(smooth - base)
     lowest = int(np.argmin(np.where(whole, smooth, np.inf)))

@@ -15,11 +15,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
-from scipy.special import erf
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import ndimage, optimize, special
 from annulus_pipe.numeric.robust import robust_sigma
 
 ROUND_DEG = 6.0  # standard deviation of what columns are averaged with round the pipe
@@ -59,7 +57,9 @@ def _model(p: FloatArray, z: FloatArray, shape: Shape) -> tuple[FloatArray, Floa
     bell_a, bell_b = (np.exp(-0.5 * t * t) / math.sqrt(2 * math.pi) for t in (a, b))
     # What lies within, less a rim on each edge: a bell as wide as the blur and `rim` high.
     rim = shape.rim * math.sqrt(2 * math.pi)
-    inside = np.mean(0.5 * (erf(a / math.sqrt(2)) - erf(b / math.sqrt(2))) - rim * (bell_a + bell_b), axis=1)
+    inside = np.mean(
+        0.5 * (special.erf(a / math.sqrt(2)) - special.erf(b / math.sqrt(2))) - rim * (bell_a + bell_b), axis=1
+    )
     by_a, by_b = bell_a * (1 + rim * a), -bell_b * (1 - rim * b)
     low, high = 0.5 * (1 + shape.flare), 0.5 * (1 - shape.flare)
     d_low = -np.mean(by_a * low + by_b * high, axis=1) / blur
@@ -88,7 +88,7 @@ def _shape_of(bands: FloatArray, dark: FloatArray, t: FloatArray, start: FloatAr
     high = np.concatenate([[t[-1], start[2] + 2, 1, 1, 1, RIM_MAX, SHADE_MAX], np.full(count, 3 * wide)])
     q[5] = 0.01
     scale = np.concatenate([[1, 0.5, 0.01, 0.01, 0.001, 0.1, 1], np.ones(count)])
-    done = least_squares(model, q, bounds=(low, high), loss="cauchy", f_scale=2.5, x_scale=scale, max_nfev=100)
+    done = optimize.least_squares(model, q, bounds=(low, high), loss="cauchy", f_scale=2.5, x_scale=scale, max_nfev=100)
     q = done.x
     spread = _spread(model(q).reshape(bands.shape))
     share_sigma = spread * math.sqrt(max(float(np.linalg.pinv(done.jac.T @ done.jac)[6, 6]), 0.0))
@@ -179,14 +179,14 @@ def _brought(values: FloatArray, z_mm: FloatArray, centre_mm: FloatArray, t: Flo
             value[:, j] = np.interp(t + centre_mm[j], z_mm[good], values[good, j])
             weight[:, j] = np.interp(t + centre_mm[j], z_mm, good.astype(float)) + 1e-3
     sigma = ROUND_DEG / 360 * values.shape[1]
-    total = gaussian_filter1d(weight, sigma, axis=1, mode="wrap")
-    return np.asarray(gaussian_filter1d(value * weight, sigma, axis=1, mode="wrap") / np.maximum(total, 1e-9))
+    total = ndimage.gaussian_filter1d(weight, sigma, axis=1, mode="wrap")
+    return np.asarray(ndimage.gaussian_filter1d(value * weight, sigma, axis=1, mode="wrap") / np.maximum(total, 1e-9))
 
 
 def _fit(
     start: FloatArray, t: FloatArray, value: FloatArray, shape: Shape, noise: float, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    done = least_squares(
+    done = optimize.least_squares(
         lambda p: (_model(p, t, shape)[0] - value) / noise,
         np.clip(start, low + 1e-9, high - 1e-9),
         lambda p: _model(p, t, shape)[1] / noise,

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.late import fft
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.measure.imaging import OUTSIDE, Region, arcs, pixel_mm, source_term
 from annulus_pipe.wings.tai.measure.sweep import Sweep, gaps_deg
@@ -236,8 +236,8 @@ def correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def _weighted(sweep: Sweep, arrival: Arrival, dx_mm: float) -> Sweep:
     """Each frequency's weight that of a derivative, up to what pixels of dx carry; the tail of a plane taken back."""
     samples = 2 * sweep.signals.shape[1]
-    frequency = scipy.fft.rfftfreq(samples, 1 / sweep.sampling_rate_hz)
+    frequency = fft.rfftfreq(samples, 1 / sweep.sampling_rate_hz)
     limit = sweep.sound_speed_m_s / (4e-3 * dx_mm)
     shape = frequency / limit * np.exp(1j * LAG_RAD[arrival] - SMOOTHED * (frequency / limit) ** 2)
-    signals = scipy.fft.irfft(scipy.fft.rfft(sweep.signals, samples, axis=1) * shape, samples, axis=1)
+    signals = fft.irfft(fft.rfft(sweep.signals, samples, axis=1) * shape, samples, axis=1)
     return replace(sweep, signals=signals[:, : sweep.signals.shape[1]])

@@ -9,10 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.late import sparse
 from annulus_pipe.vocabulary import AnnulusError
 
 EPS0 = 8.8541878128e-12  # F/m
@@ -207,29 +206,29 @@ def _solve(
     """
     ny, nx = permittivity.shape
     h = step_mm * 1e-3
-    operator = scipy.sparse.diags_array((omega**2 * MU0 * EPS0 * permittivity).ravel(), format="csr")
+    operator = sparse.diags_array((omega**2 * MU0 * EPS0 * permittivity).ravel(), format="csr")
     for axis, (size, other) in enumerate(((ny, nx), (nx, ny))):
         rim = round(PML_MM / step_mm) if absorbing[axis] else 0
         edges = (permittivity[[0, -1], :] if axis == 0 else permittivity[:, [0, -1]]).real
         k = omega / LIGHT_M_S * math.sqrt(float(np.median(edges)))
         node = _stretch(np.arange(size, dtype=float), size, rim, k * step_mm * 1e-3)
         between = _stretch(np.arange(size - 1) + 0.5, size, rim, k * step_mm * 1e-3)
-        slope = scipy.sparse.diags_array(1 / between) @ (
-            scipy.sparse.eye_array(size - 1, size, k=1) - scipy.sparse.eye_array(size - 1, size)
+        slope = sparse.diags_array(1 / between) @ (
+            sparse.eye_array(size - 1, size, k=1) - sparse.eye_array(size - 1, size)
         )
         second = (
-            -scipy.sparse.diags_array(1 / node)
-            @ (scipy.sparse.eye_array(size - 1, size, k=1) - scipy.sparse.eye_array(size - 1, size)).T
+            -sparse.diags_array(1 / node)
+            @ (sparse.eye_array(size - 1, size, k=1) - sparse.eye_array(size - 1, size)).T
             @ slope
             / h**2
         )
-        eye = scipy.sparse.eye_array(other)
-        operator = operator + (scipy.sparse.kron(second, eye) if axis == 0 else scipy.sparse.kron(eye, second))
+        eye = sparse.eye_array(other)
+        operator = operator + (sparse.kron(second, eye) if axis == 0 else sparse.kron(eye, second))
     right = (1j * omega * MU0 * current).ravel()
     free = np.ones(ny * nx, bool) if wall is None else ~wall.ravel()
     out = np.zeros(ny * nx, complex)
-    matrix = scipy.sparse.csc_array(operator)[free][:, free]
-    out[free] = scipy.sparse.linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A").solve(right[free])
+    matrix = sparse.csc_array(operator)[free][:, free]
+    out[free] = sparse.linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A").solve(right[free])
     return out.reshape(ny, nx)
 
 

@@ -13,10 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
-import scipy.sparse
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.late import fft, sparse
 from annulus_pipe.vocabulary import AnnulusError
 
 FloatArray = NDArray[np.floating]
@@ -138,7 +137,7 @@ class Solver:
     def forward(
         self,
         rise: FloatArray,
-        receivers: scipy.sparse.csr_array,
+        receivers: sparse.csr_array,
         steps: int,
         envelope: FloatArray | None = None,
         progress: Callable[[int, int], None] | None = None,
@@ -161,8 +160,8 @@ class Solver:
                 push = None
             else:
                 # Exact in a homogeneous medium: what is added half a step before it is seen.
-                spectrum = scipy.fft.rfft2(rise) * self._source_filter
-                push = (0.5 * self.dt_s * scipy.fft.irfft2(spectrum, s=rise.shape)).astype(self._dtype)
+                spectrum = fft.rfft2(rise) * self._source_filter
+                push = (0.5 * self.dt_s * fft.irfft2(spectrum, s=rise.shape)).astype(self._dtype)
             traces = np.empty((receivers.shape[0], steps), self._dtype)
             listen = receivers.astype(self._dtype)
             for n in range(steps):
@@ -223,9 +222,9 @@ class _Run:
         for part in self._part:
             part[...] = 0.5 * pressure
         np.add(*self._part, out=self.pressure)
-        spectrum = scipy.fft.rfft2(self.pressure)
+        spectrum = fft.rfft2(self.pressure)
         for axis in (0, 1):
-            slope = scipy.fft.irfft2(self._solver._gradient[axis] * spectrum, s=pressure.shape)
+            slope = fft.irfft2(self._solver._gradient[axis] * spectrum, s=pressure.shape)
             # step() will push once; half of that is taken back here
             self._flow[axis][...] = -0.5 * self._solver._pushed[axis] * slope / self._solver._flow_kept[axis]
 
@@ -240,7 +239,7 @@ class _Run:
         self.pressure.reshape(-1)[cells] = 2 * half
 
     def step(self) -> None:
-        spectrum = scipy.fft.rfft2(self.pressure, overwrite_x=False)
+        spectrum = fft.rfft2(self.pressure, overwrite_x=False)
         other = self._pool.submit(self._along, 0, spectrum)
         self._along(1, spectrum)
         other.result()
@@ -250,19 +249,19 @@ class _Run:
         """Half of the absorbing before what is added and half after: once squared and once in what is added."""
         s, flow, part = self._solver, self._flow[axis], self._part[axis]
         shape = flow.shape
-        slope = scipy.fft.irfft2(s._gradient[axis] * spectrum, s=shape, overwrite_x=True)
+        slope = fft.irfft2(s._gradient[axis] * spectrum, s=shape, overwrite_x=True)
         slope *= s._pushed[axis]
         flow *= s._flow_kept[axis]
         flow += slope
-        waves = scipy.fft.rfft(flow, axis=axis)
+        waves = fft.rfft(flow, axis=axis)
         waves *= s._divergence[axis]
-        spread = scipy.fft.irfft(waves, n=shape[axis], axis=axis, overwrite_x=True)
+        spread = fft.irfft(waves, n=shape[axis], axis=axis, overwrite_x=True)
         spread *= s._squeezed[axis]
         part *= s._part_kept[axis]
         part += spread
 
 
-def receivers(grid: SoundGrid, points_mm: FloatArray) -> scipy.sparse.csr_array:
+def receivers(grid: SoundGrid, points_mm: FloatArray) -> sparse.csr_array:
     """Point receivers anywhere between the cells -> (receivers, cells) weights.
 
     points_mm : (R, 2) x, y; or (R, Q, 2): a face, as Q points whose mean it hears (Eq. 7.20).
@@ -293,7 +292,7 @@ def receivers(grid: SoundGrid, points_mm: FloatArray) -> scipy.sparse.csr_array:
     weight = weights[0][..., :, None] * weights[1][..., None, :] / faces.shape[1]
     rows = np.broadcast_to(np.arange(len(faces))[:, None, None, None], cell.shape)
     size = grid.shape[0] * grid.shape[1]
-    return scipy.sparse.csr_array((weight.ravel(), (rows.ravel(), cell.ravel())), shape=(len(faces), size))
+    return sparse.csr_array((weight.ravel(), (rows.ravel(), cell.ravel())), shape=(len(faces), size))
 
 
 def rim(grid: SoundGrid, radius_mm: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -5,10 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
+from annulus_pipe.numeric.late import fft, interpolate
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers, rim, time_step_s
 from annulus_pipe.wings.tai.measure.sweep import Sweep, gaps_deg
@@ -79,7 +78,7 @@ def pixel_mm(sweep: Sweep) -> float:
     The band ends where the smoothed spectrum sinks into the noise of the recorder, or holds ENERGY of the sound.
     """
     rest = sweep.signals - sweep.signals.mean(axis=1, keepdims=True)
-    spectrum = (np.abs(scipy.fft.rfft(rest, axis=1)) ** 2).mean(axis=0)
+    spectrum = (np.abs(fft.rfft(rest, axis=1)) ** 2).mean(axis=0)
     width = max(len(spectrum) // 64, 1)
     smooth = np.convolve(spectrum, np.full(width, 1 / width), mode="same")
     sound = np.where(smooth > ABOVE_NOISE * float(np.median(smooth[3 * len(smooth) // 4 :])), spectrum, 0.0)
@@ -120,7 +119,7 @@ def time_reversal(
             f"a pixel of {dx:g} mm makes more than {GRID_MAX} cells across {2 * sweep.radius_mm:g} mm, "
             f"expected at least {_least_pixel(sweep):.3g} mm"
         )
-    side = scipy.fft.next_fast_len(math.ceil(2 * sweep.radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
+    side = fft.next_fast_len(math.ceil(2 * sweep.radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
     grid, medium = SoundGrid((side, side), dx), Medium(sweep.sound_speed_m_s)
     solver = Solver(grid, medium, time_step_s(grid, medium))
     steps = math.ceil(TAIL * 2 * sweep.radius_mm * 1e-3 / sweep.sound_speed_m_s / solver.dt_s) + 1
@@ -200,10 +199,10 @@ def _resampled(sweep: Sweep, dt_s: float, steps: int) -> NDArray[np.float64]:
     """Traces on the solver's clock from time 0; zero where nothing was recorded. No wave shorter than two cells."""
     signals = sweep.signals
     if dt_s * sweep.sampling_rate_hz > 1.0:  # fewer samples than there are: what lies above must not fold back
-        spectrum = scipy.fft.rfft(signals, axis=1)
-        frequency = scipy.fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz)
+        spectrum = fft.rfft(signals, axis=1)
+        frequency = fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz)
         spectrum *= 0.5 - 0.5 * np.cos(math.pi * np.clip((0.5 / dt_s - frequency) / (0.1 / dt_s), 0.0, 1.0))
-        signals = scipy.fft.irfft(spectrum, n=signals.shape[1], axis=1)
+        signals = fft.irfft(spectrum, n=signals.shape[1], axis=1)
     at = np.arange(steps) * dt_s
     times = sweep.times_s
     out = np.zeros((len(signals), steps))
@@ -213,7 +212,7 @@ def _resampled(sweep: Sweep, dt_s: float, steps: int) -> NDArray[np.float64]:
             f"the record covers {1e6 * times[0]:.2f}..{1e6 * times[-1]:.2f} us, none of the {1e6 * at[-1]:.1f} us "
             "in which sound from inside the circle arrives: check t0, sampling rate and radius"
         )
-    out[:, held] = CubicSpline(times, signals, axis=1)(at[held])
+    out[:, held] = interpolate.CubicSpline(times, signals, axis=1)(at[held])
     return out
 
 
@@ -224,7 +223,7 @@ def _onto_rim(
     angles, first, count = np.unique(turn_deg, return_index=True, return_counts=True)
     values = np.add.reduceat(traces, first, axis=0) / count[:, None]
     around = np.append(angles, angles[0] + 360.0)
-    spline = CubicSpline(around, np.vstack([values, values[:1]]), axis=0, bc_type="periodic")
+    spline = interpolate.CubicSpline(around, np.vstack([values, values[:1]]), axis=0, bc_type="periodic")
     return np.asarray(spline(np.mod(rim_deg - angles[0], 360.0) + angles[0]))
 
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.late import fft
 from annulus_pipe.vocabulary import AnnulusError
 
 POSITIONS_MAX = 8192  # Unguarded, both: a wrong file must not fill the memory
@@ -174,9 +174,9 @@ def band_passed(sweep: Sweep, low_hz: float, high_hz: float) -> Sweep:
         )
     ends = sweep.signals.shape[1] - 1  # turned over beyond both ends, so that hum has no step there
     signals = np.pad(sweep.signals, ((0, 0), (ends, ends)), mode="reflect", reflect_type="odd")
-    frequency = np.maximum(scipy.fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz), 1e-9)
+    frequency = np.maximum(fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz), 1e-9)
     gain = 1 / ((1 + (low_hz / frequency) ** BAND_ORDER) * (1 + (frequency / high_hz) ** BAND_ORDER))
-    passed = scipy.fft.irfft(scipy.fft.rfft(signals, axis=1) * gain, signals.shape[1], axis=1)
+    passed = fft.irfft(fft.rfft(signals, axis=1) * gain, signals.shape[1], axis=1)
     return replace(sweep, signals=passed[:, ends : 2 * ends + 1])
 
 

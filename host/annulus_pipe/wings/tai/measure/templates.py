@@ -10,14 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import scipy.fft
-import scipy.linalg
-import scipy.optimize
 from numpy.typing import NDArray
-from scipy.signal import gausspulse, resample
 
 from annulus_pipe.extras import need
 from annulus_pipe.numeric.arrays import Chips
+from annulus_pipe.numeric.late import fft, linalg, optimize, signal
 from annulus_pipe.vocabulary import AnnulusError
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +42,7 @@ class Transducer:
             )
         half = math.ceil(3.0 / (bandwidth * centre_hz) * sampling_rate_hz)
         times = np.arange(-half, half + 1) / sampling_rate_hz
-        return cls(np.asarray(gausspulse(times, fc=centre_hz, bw=bandwidth)), sampling_rate_hz)
+        return cls(np.asarray(signal.gausspulse(times, fc=centre_hz, bw=bandwidth)), sampling_rate_hz)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,10 +165,8 @@ def decode(signals: NDArray[np.floating], sampling_rate_hz: float, template: Tem
             f"expected at least {1e-6 / chip_s:g} MHz"
         )
     samples = signals.shape[-1]
-    length = scipy.fft.next_fast_len(
-        samples + math.ceil(len(template.taps) * spacing * sampling_rate_hz) + 1, real=True
-    )
-    frequency = scipy.fft.rfftfreq(length, 1 / sampling_rate_hz)
+    length = fft.next_fast_len(samples + math.ceil(len(template.taps) * spacing * sampling_rate_hz) + 1, real=True)
+    frequency = fft.rfftfreq(length, 1 / sampling_rate_hz)
     shift = template.delay * chip_s
     response = np.zeros(len(frequency), complex)
     for n, tap in enumerate(template.taps):
@@ -180,8 +175,8 @@ def decode(signals: NDArray[np.floating], sampling_rate_hz: float, template: Tem
     if template.spacing < 1.0:  # taps at a rate of their own: their images are no signal
         response *= frequency < 0.5 / spacing
     # What the shift pulls before sample 0 wraps to the end, beyond `samples`: cut off.
-    spectrum = scipy.fft.rfft(signals, length, axis=-1)
-    return np.asarray(scipy.fft.irfft(spectrum * response, length, axis=-1)[..., :samples])
+    spectrum = fft.rfft(signals, length, axis=-1)
+    return np.asarray(fft.irfft(spectrum * response, length, axis=-1)[..., :samples])
 
 
 def decode_pair(
@@ -219,7 +214,7 @@ def pair_correlation(codes: Sequence[Chips]) -> NDArray[np.int64]:
 def _convolution(received: FloatArray, taps: int) -> FloatArray:
     """(len + taps - 1, taps): matrix @ taps is the full convolution."""
     return np.asarray(
-        scipy.linalg.toeplitz(
+        linalg.toeplitz(
             np.concatenate([received, np.zeros(taps - 1)]), np.concatenate([received[:1], np.zeros(taps - 1)])
         )
     )
@@ -238,7 +233,7 @@ def _solve(
         return np.asarray(taps / (system[peak] @ taps))
     if floor_db is None:
         column = np.full((len(beside), 1), -1.0)
-        answer = scipy.optimize.linprog(
+        answer = optimize.linprog(
             np.append(np.zeros(count), 1.0),
             A_ub=np.block([[beside, column], [-beside, column]]),
             b_ub=np.zeros(2 * len(beside)),
@@ -295,4 +290,4 @@ def _resampled(transducer: Transducer, rate_hz: float) -> FloatArray:
     ratio = rate_hz / transducer.sampling_rate_hz
     if abs(ratio - 1) < 1e-9:
         return np.asarray(transducer.response, float)
-    return np.asarray(resample(transducer.response, max(round(len(transducer.response) * ratio), 3)))
+    return np.asarray(signal.resample(transducer.response, max(round(len(transducer.response) * ratio), 3)))

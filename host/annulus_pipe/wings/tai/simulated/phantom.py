@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.late import fft
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.measure.field import PML_CELLS, Medium, Solver, SoundGrid, receivers
 from annulus_pipe.wings.tai.measure.phantoms import Part, draw, reach_mm
@@ -52,7 +52,7 @@ class Responses:
         centre, width = setup.transducer or (1.5e6, 1.0)
         highest = self.highest_hz = centre * (1 + width)
         dx = max(setup.sound_speed_m_s * 1e3 / (2.4 * highest), setup.radius_mm / 400)
-        side = scipy.fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
+        side = fft.next_fast_len(math.ceil(2 * setup.radius_mm / dx) + 2 * PML_CELLS + 12, real=True)
         grid = SoundGrid((side, side), dx)
         solver = Solver(grid, Medium(setup.sound_speed_m_s))
         across_s = 2e-3 * setup.radius_mm / setup.sound_speed_m_s
@@ -71,7 +71,7 @@ class Responses:
         self.dt_s, self.length_s = solver.dt_s, steps * solver.dt_s
         fade = math.ceil(FADE * steps)  # a wave in a plane has a wake without end: it fades out rather than stops
         heard[:, -fade:] *= 0.5 + 0.5 * np.cos(math.pi * np.arange(1, fade + 1) / fade)
-        self._round = scipy.fft.rfft(np.asarray(heard, float), axis=0)
+        self._round = fft.rfft(np.asarray(heard, float), axis=0)
         self._count = count
 
     def at(self, angle_deg: float) -> NDArray[np.float64]:

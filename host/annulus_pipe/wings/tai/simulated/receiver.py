@@ -5,10 +5,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from annulus_pipe.controller import TICK_S
+from annulus_pipe.numeric.late import fft
 from annulus_pipe.wings.tai.simulated.phantom import Responses, RigSetup
 
 PULSE_S = 0.5e-6  # the pulse that `pulse_v` speaks of
@@ -41,8 +41,8 @@ class Receiver:
             return np.zeros(samples)
         first_s = min(t0_s, pulses[0][0] * TICK_S)
         lasting_s = t0_s + samples / rate_hz - first_s + self.responses.length_s + TAIL_S  # until all has faded
-        whole = scipy.fft.next_fast_len(math.ceil(lasting_s * rate_hz), real=True)
-        frequency = scipy.fft.rfftfreq(whole, 1 / rate_hz)
+        whole = fft.next_fast_len(math.ceil(lasting_s * rate_hz), real=True)
+        frequency = fft.rfftfreq(whole, 1 / rate_hz)
         frequency = frequency[frequency < self.responses.highest_hz]
         turning = 2j * math.pi * frequency
         edges = np.array(pulses, float) * TICK_S
@@ -58,7 +58,7 @@ class Receiver:
             volts = volts * _band(frequency, *setup.transducer)
         heard = np.zeros(whole // 2 + 1, complex)
         heard[: len(frequency)] = volts * burst * np.exp(turning * t0_s)
-        return np.asarray(scipy.fft.irfft(heard, whole)[:samples] * rate_hz)
+        return np.asarray(fft.irfft(heard, whole)[:samples] * rate_hz)
 
     def _kernel(self, count: int, spacing_hz: float) -> NDArray[np.complex64]:
         """(frequencies, steps): Fourier's integral over the response, at the record's own frequencies."""

@@ -1,0 +1,68 @@
+"""What a command, a refusal or a worker imports before it does anything: seconds of processor, of every process."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from annulus_pipe.reprocess.executors import Processes
+
+HEAVY = {"scipy", "matplotlib", "mpl_toolkits", "PIL", "jinja2", "google", "mcap", "rich", "pyarrow", "duckdb"}
+TYPED = """
+import sys
+from annulus_pipe.cli import main
+sys.argv = ["annulus", *sys.argv[1:]]
+try:
+    main()
+finally:
+    print("\\n" + " ".join(sys.modules), file=sys.stderr)
+"""
+
+
+def imported(*words: str) -> tuple[str, set[str]]:
+    """What a command says, and the packages that it had imported when it ended."""
+    done = subprocess.run([sys.executable, "-c", TYPED, *words], capture_output=True, text=True, check=False)
+    *said, modules = done.stderr.splitlines()
+    return done.stdout + "\n".join(said), {name.partition(".")[0] for name in modules.split()}
+
+
+@pytest.mark.parametrize("words", [["--help"], ["record", "--help"], ["timing", "--nonsense"]])
+def test_what_is_known_without_numbers_imports_none(words: list[str]) -> None:
+    _, packages = imported(*words)
+    assert "typer" in packages and not packages & {*HEAVY, "numpy", "cv2"}
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["reconstruct", "{}/none", "-o", "{}/out"], "no such scan"),
+        (["reconstruct", "{}", "--calibration", "{}/none.json", "-o", "{}/out"], "no such file"),
+        (["record", "info", "{}/none.mcap"], "No such file"),
+        (["daemon", "--config", "{}/none.toml"], "expected a head.toml"),
+        (["calibrate", "camera", "{}/none", "-o", "{}/head.json"], "no such file"),
+    ],
+)
+def test_a_refusal_imports_nothing_that_only_the_work_needs(words: list[str], said: str, tmp_path: Path) -> None:
+    told, packages = imported(*(word.format(tmp_path) for word in words))
+    assert said.lower() in told.lower() and not packages & HEAVY
+
+
+@dataclass(frozen=True)
+class Modules:
+    """Work: which packages the worker has imported."""
+
+    def ready(self) -> Callable[[str], set[str]]:
+        __import__("annulus_pipe.reprocess.ranges")  # what measures a range
+        return lambda _: set(sys.modules)
+
+
+def test_workers_import_neither_scipy_nor_what_draws() -> None:
+    for _, modules in Processes(1, apart=True)(Modules(), ["one"]):
+        assert not {name.partition(".")[0] for name in modules} & HEAVY
+        assert "annulus_pipe.rings.reconstructor" in modules and "annulus_pipe.wall.survey" not in modules
+    code = "import sys, annulus_pipe.daemon.worker; print(*sys.modules)"
+    live = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {name.partition(".")[0] for name in live} & HEAVY and "annulus_pipe.wall.survey" not in live
