@@ -161,6 +161,22 @@ static void greatest_of_cells(const uint8_t* const at, const int64_t w, const bo
     greatest_of_run(at + start, w, chosen, out + start, size - start);
 }
 
+// Cells from .. to, at least one, of row y; the margin repeats what is beside it.
+static void strongest_cells(const picture_t* const picture, const int64_t from, const int64_t to, const int64_t y,
+                            uint8_t* const out)
+{
+    const int64_t w = picture->width, row = bounded(y, 1, picture->height - 2);
+    const int64_t first = bounded(from, 1, w - 2), last = bounded(to, first + 1, w - 1);
+    const bool green = ((row ^ first ^ picture->phase ^ (picture->phase >> 1)) & 1) != 0;
+    greatest_of_cells(picture->data + row * w + first, w, green, out + first, last - first);
+    if (from == 0) {
+        out[0] = out[1];
+    }
+    if (to == w) {
+        out[w - 1] = out[w - 2];
+    }
+}
+
 // The same with black taken off and weak channels raised, at most 255.
 static void raised_of(const picture_t* const picture, const int64_t x, const int64_t y, const bool mosaic,
                       uint8_t* const out, const int64_t size, const int32_t black[3], const int32_t gain[3])
@@ -191,9 +207,8 @@ DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const
         const double half = sqrt(far), within = inner * inner - up * up;
         const double hole = inner > 0.0 && within > 0.0 ? sqrt(within) : 0.0;
         for (int64_t side = 0; side < 2; side++) {
-            const int64_t margin = mosaic ? 1 : 0;
-            const int64_t from = whole(side == 0 ? cx - half : cx + hole, margin, w);
-            const int64_t to = least(whole(side == 0 ? cx - hole : cx + half, 0, w) + 2, w - margin);
+            const int64_t from = whole(side == 0 ? cx - half : cx + hole, 0, w);
+            const int64_t to = least(whole(side == 0 ? cx - hole : cx + half, 0, w) + 2, w);
             if (to <= from) {
                 continue;
             }
@@ -208,9 +223,8 @@ DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const
                 raised_of(&picture, from, y, mosaic, out, to - from, black, gain);
             } else if (!mosaic) {
                 greatest_of(source, out, to - from);
-            } else if (y > 0 && y < h - 1) {
-                const bool green = ((y ^ from ^ phase ^ (phase >> 1)) & 1) != 0;
-                greatest_of_cells(source, w, green, out, to - from);
+            } else {
+                strongest_cells(&picture, from, to, y, plane + y * w);
             }
         }
     }

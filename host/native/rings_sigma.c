@@ -36,7 +36,7 @@ DOOR int64_t rings_keep(const int64_t* const ring, const int64_t* const directio
         for (int channel = 0; channel < 3; channel++) {
             const double a = light[(2 - channel) * n + s], b = light[(5 - channel) * n + s];
             const double mean = 0.5 * (a + b);
-            colour[3 * there + channel] = (uint8_t)(mean < 255.0 ? mean : 255.0);
+            colour[3 * there + channel] = (uint8_t)held(mean, 0.0, 255.0);
             over |= (a > full) | (b > full);
         }
         clipped[there] = over;

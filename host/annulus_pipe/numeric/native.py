@@ -10,7 +10,7 @@ after the arguments, in the order in which their letters first appear. tests/uni
 declarations to the C.
 
 One library is loaded, the best that the processor can run; which one changes no bit of any result. ANNULUS_LOOPS names
-another ("x86-64-v2"), for tests.
+another, by its level ("x86-64-v2") or as a file by its whole path, for tests.
 """
 
 import ctypes
@@ -19,6 +19,7 @@ import hashlib
 import os
 import platform
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -50,12 +51,13 @@ _ARGUMENT = re.compile(r"(?P<kind>\w\d)(\[(?P<sizes>[\w, ]*)\](?P<written>!?)(?P
 @functools.cache
 def library() -> ctypes.CDLL:
     """The loops for this processor. Raises AnnulusError where they were not built or cannot be loaded."""
-    return _load(shipped(f"{LOOPS}{level()}.so"))
+    name = level()
+    return _load(Path(name) if os.path.isabs(name) else shipped(f"{LOOPS}{name}.so"))
 
 
 @functools.cache
 def level() -> str:
-    """Which of LEVELS is loaded. Raises AnnulusError as `library` does."""
+    """Which of LEVELS is loaded, or what CHOSEN names. Raises AnnulusError as `library` does."""
     if chosen := os.environ.get(CHOSEN):
         return chosen
     usual = LEVELS[2 if platform.machine() == "x86_64" else 0]
@@ -65,6 +67,10 @@ def level() -> str:
 
 
 def _load(path: Path) -> ctypes.CDLL:
+    if not _is_whole(path):
+        raise AnnulusError(
+            f"{path}: is cut short, or no library. `make setup` builds it, a wheel has it: install again."
+        )
     try:
         loaded = ctypes.CDLL(str(path))
     except OSError as error:
@@ -77,6 +83,16 @@ def _load(path: Path) -> ctypes.CDLL:
     if (ours := sources()) not in ("", loaded.library_sources().decode()):
         raise AnnulusError(f"{path}: was built from other sources than this checkout has ({ours}). Run `make setup`.")
     return loaded
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a 64-bit ELF file has all that its header speaks of: a load of one cut short ends the process."""
+    with path.open("rb") as file:
+        head = file.read(64)
+    if len(head) < 64 or head[:4] != b"\x7fELF":
+        return False
+    (sections,), (size, count) = struct.unpack_from("<Q", head, 40), struct.unpack_from("<HH", head, 58)
+    return int(sections) + int(size) * int(count) <= path.stat().st_size
 
 
 def built_from() -> str:

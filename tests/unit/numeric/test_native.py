@@ -29,7 +29,7 @@ OF_C = {
 }
 
 
-def _declaring() -> list[str]:
+def declaring() -> list[str]:
     package = Path(annulus_pipe.__path__[0])
     files = (path for path in package.rglob("*.py") if re.search(r"^\w+ = door\(", path.read_text(), re.M))
     return [
@@ -38,7 +38,7 @@ def _declaring() -> list[str]:
 
 
 def test_every_door_is_declared_as_its_function_is_in_c() -> None:
-    for name in _declaring():
+    for name in declaring():
         importlib.import_module(name)
     in_c = {}
     for path in sorted(NATIVE.glob("*.c")):
@@ -109,3 +109,11 @@ def test_a_wheel_in_an_environment_within_a_checkout_is_not_held_to_its_sources(
     assert native.sources.__wrapped__()
     monkeypatch.setattr(native, "is_shipped", lambda name: name == BUILD)
     assert native.sources.__wrapped__() == ""
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.99])
+def test_a_library_that_is_cut_short_is_refused_and_not_loaded(tmp_path: Path, part: float) -> None:
+    whole = native.shipped(f"loops-{native.level()}.so").read_bytes()
+    (tmp_path / "short.so").write_bytes(whole[: int(part * len(whole))])
+    with pytest.raises(AnnulusError, match="is cut short"):
+        native._load(tmp_path / "short.so")

@@ -1,0 +1,106 @@
+"""A little real work of every room that has loops in C, recorded; and the same calls with tables that hold anything."""
+
+import functools
+from collections.abc import Callable
+
+import drawn_head
+import hostile_frames
+import line_heads
+import numpy as np
+import synthetic_pipe
+from recorded import Call, recording, with_other
+
+from annulus_pipe.geometry.pose import Pose
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.stereo import StereoReconstructor
+from annulus_pipe.wall.survey import survey
+from tests import kept
+
+
+def profiles() -> None:
+    """Of what each kind of head sees, of the same as a mosaic, and of a frame that no pipe shows."""
+    for head, calibration in hostile_frames.heads().items():
+        reconstructor = Reconstructor(calibration, hostile_frames.DIRECTIONS)
+        image = hostile_frames.seen(head)
+        other = hostile_frames.frame("rings", 5, *image.shape[:2])
+        for picture in (image, hostile_frames.mosaic_of(image, "rggb"), other):
+            reconstructor.profile(picture, frame=0, z_mm=5.0)
+
+
+def stereo_profile() -> None:
+    head, pose = drawn_head.head(0.4), Pose(0.02, -0.03, -6.9, -9.1)
+    images = {
+        one.id: kept.picture(lambda one=one: drawn_head.draw(head, one, pose), head, one, pose) for one in head.cameras
+    }
+    assert len(StereoReconstructor(head, 90).profile(images, frame=0, z_mm=0.0).ring)
+
+
+def whole_survey() -> None:
+    pocket = synthetic_pipe.pocket(synthetic_pipe.round_pipe, 90.0, 20.0, 40.0, 60.0, 2.0)
+    scan = synthetic_pipe.scan(pocket, z_mm=np.arange(0.0, 100.0, 5.0).tolist(), directions=240)
+    assert survey(scan, synthetic_pipe.CALIBRATION).timing_ms
+
+
+def drawn_frame() -> None:
+    for name in ("lines", "mirror"):
+        line_heads.picture(hostile_frames.worlds()[name].scaled(120), 40.0)
+
+
+WORK: list[Callable[[], None]] = [profiles, stereo_profile, whole_survey, drawn_frame]
+
+
+@functools.cache
+def real_calls() -> list[Call]:
+    with recording() as calls:
+        for work in WORK:
+            work()
+    return calls
+
+
+# Of each door the arrays that are filled from a frame. All others are laid out by the calibration, and checked there.
+FROM_A_FRAME = {
+    "rings_scan": ("top",),
+    "rings_level": ("top",),
+    "rings_dark_ones": ("depth",),
+    "rings_light": ("direction", "samples"),
+    "rings_learn": ("light", "gain", "reference"),
+    "rings_name": ("light", "gain", "reference"),
+    "rings_list": ("colour",),
+    "rings_points": ("direction", "position", "width", "slit", "name"),
+    "rings_deviations": ("points", "rotation", "shift"),
+    "rings_align": ("direction", "slit", "name", "fit", "deviation"),
+    "rings_align_lines": ("direction", "strength", "deviation"),
+    "rings_reject": ("ring", "direction", "width", "bright", "chosen", "deviation"),
+    "rings_usual_widths": ("ring", "width"),
+    "rings_for_fit": ("ring", "chosen", "points"),
+    "rings_keep": ("ring", "direction", "chosen", "light", "points", "rotation", "shift"),
+    "rings_sigma": ("kept", "ring", "direction", "points", "blur", "wider", "clipped", "rotation", "covariance"),
+    "pose_fit": ("points", "weight"),
+}
+
+
+def hostile_calls(seed: int, part: float) -> list[Call]:
+    """Real calls, each with that part of one of its tables replaced."""
+    rng = np.random.default_rng(seed)
+    return [
+        with_other(call, name, functools.partial(spoilt, rng, part, name == "samples"))
+        for call in real_calls()
+        for name in FROM_A_FRAME.get(call.name, ())
+    ]
+
+
+def spoilt(rng: np.random.Generator, part: float, near: bool, values: np.ndarray) -> np.ndarray:
+    """near : runs of samples, which are gone through one by one: far out of the image, but no more of them."""
+    odd = rng.integers(-3000, 3000, len(values)) if near else anything(rng, values)
+    return np.where(rng.random(values.shape) < part, odd, values)
+
+
+def anything(rng: np.random.Generator, values: np.ndarray) -> np.ndarray:
+    """The least, the greatest, next to nothing; of floats what is no number as well."""
+    if values.dtype == bool:
+        return rng.random(values.shape) < 0.5
+    if values.dtype.kind == "f":
+        odd = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-30, 1e30, -1e30, -1.0, np.finfo(values.dtype).max]
+    else:
+        odd = [np.iinfo(values.dtype).min, np.iinfo(values.dtype).max, -1 % 256, 0, 1, 3, len(values), len(values) - 1]
+    return rng.choice(np.array(odd).astype(values.dtype), values.shape)
