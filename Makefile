@@ -87,7 +87,8 @@ durations: tested
 tested: export ANNULUS_NO_SKIPS := 1
 tested: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
-	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils povray
+	  gcc-aarch64-linux-gnu qemu-user-static systemd chromium pango poppler-utils povray
+	@$(MAKE) --silent -C host/native MACHINE=aarch64 CC=aarch64-linux-gnu-gcc BUILD=build/aarch64
 	$(BIN)/pytest -n auto --dist loadfile --max-worker-restart 0 $(RENEW) -m "($(GATE)) and not alone" tests --ignore tests/held
 	$(BIN)/pytest $(RENEW) -m "($(GATE)) and alone" tests --ignore tests/held
 

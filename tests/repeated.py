@@ -8,7 +8,7 @@ import os
 from hypothesis import HealthCheck, settings
 
 few = settings(
-    max_examples=int(os.environ.get("ANNULUS_EXAMPLES", "12")),
+    max_examples=int(os.environ.get("ANNULUS_EXAMPLES", "20")),
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow],

@@ -24,6 +24,7 @@ for need in "$@"; do
 		find "/lib/modules/$release" -name "vivid.ko*" | grep . && break; done | grep .' ;; # the cloud kernel has no drivers
 	gcc-aarch64-linux-gnu) want gcc-aarch64-linux-gnu 'command -v aarch64-linux-gnu-gcc' # wheels for a Pi
 		want libc6-dev-arm64-cross 'ls /usr/aarch64-linux-gnu/include/string.h' ;;
+	qemu-user-static) want qemu-user-static 'command -v qemu-aarch64-static' ;; # loops for a Pi, run here
 	systemd) want systemd 'command -v systemd-analyze' ;;
 	chromium) want chromium 'command -v chromium' ;;
 	pango) want libpangoft2-1.0-0 'ldconfig -p | grep libpangoft2' ;; # WeasyPrint's

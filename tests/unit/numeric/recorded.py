@@ -164,6 +164,11 @@ def _lying(door: LoopDoor, call: Call) -> Iterator[tuple[Argument, tuple[int, in
             yield one, None if value[0] < 0 else (*value, argument_bytes(one, sizes)), n
 
 
+def given(call: Call) -> list[str]:
+    """The arrays that hold something, by their names."""
+    return [one.name for one, span, _ in _lying(of_door(call.name), call) if span is not None]
+
+
 def differing(calls: list[Call], of: ctypes.CDLL) -> list[str]:
     """What a library writes otherwise than was recorded; a NaN is a NaN, whatever its sign."""
     found = []

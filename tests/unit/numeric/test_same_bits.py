@@ -30,7 +30,7 @@ AARCH64 = "MACHINE=aarch64", "CC=aarch64-linux-gnu-gcc", "BUILD=build/aarch64"
 
 @functools.cache
 def calls() -> list[Call]:
-    return [*real_calls(), *hostile_calls(0, 0.02), *hostile_calls(1, 1.0)]
+    return [*real_calls(), *hostile_calls(0, 0.1)]
 
 
 def loaded(level: str) -> ctypes.CDLL:

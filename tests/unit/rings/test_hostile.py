@@ -7,10 +7,10 @@ import functools
 
 import numpy as np
 from hostile_frames import DIRECTIONS, KINDS, frame, heads, mosaic_of, spoilt
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from repeated import few
-from small_work import FROM_A_FRAME, hostile_calls, real_calls
+from small_work import hostile_calls
 
 from annulus_pipe.numeric.mosaic import ORDERS
 from annulus_pipe.rings.reconstructor import Reconstructor
@@ -37,18 +37,10 @@ def test_a_hostile_frame_has_a_profile_or_none(head: str, kind: str, seed: int, 
         assert np.isfinite(profile.pose.translation).all()
 
 
-def test_every_door_that_takes_what_a_frame_shows_is_tried() -> None:
-    bytes_of_a_frame = {"look", "strongest", "unroll", "sample", "pedestal", "without_veil"}
-    of_a_calibration = {"read", "meet", "ridges"}  # ridges have a hostile test of their own
-    others = {f"rings_{name}" for name in bytes_of_a_frame | of_a_calibration}
-    called = {call.name for call in real_calls() if call.name.startswith(("rings_", "pose_"))}
-    assert called - others == FROM_A_FRAME.keys()
-
-
-@few
+@settings(parent=few, max_examples=few.max_examples // 5)
 @given(seeds, st.sampled_from([0.02, 0.5, 1.0]))
 def test_whatever_tables_hold_no_other_memory_is_touched(seed: int, part: float) -> None:
-    hostile_calls(seed, part)
+    assert len({call.name for call in hostile_calls(seed, part)}) > 40  # doors
 
 
 def test_every_sample_of_every_grid_lies_in_the_plane_that_it_is_read_from() -> None:
