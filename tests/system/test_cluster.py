@@ -118,9 +118,10 @@ def test_what_cannot_be_done_is_left_out_and_a_worker_with_other_libraries_is_re
 ) -> None:
     """4 (a bug) and 9 always raise."""
     said: list[str] = []
-    cluster.environment["PYTHONPATH"] = str(_another_scipy(tmp_path))
+    usual = cluster.environment["PYTHONPATH"]
+    cluster.environment["PYTHONPATH"] = f"{_another_scipy(tmp_path)}:{usual}"
     cluster.hire(1)  # a stranger
-    del cluster.environment["PYTHONPATH"]
+    cluster.environment["PYTHONPATH"] = usual
     work, items = Toil(tmp_path, raises=frozenset({4, 9})), range(60)
     told = dict(Dask(cluster.url, tries=2, say=said.append)(work, items))
     bug, known = told.pop(4), told.pop(9)
