@@ -5,8 +5,8 @@ imports no OpenCV: a spare one must be up at once. OpenCV comes while it waits t
 
 A frame that is there as soon as the one before it is done with, and others before it, says that frames come faster than
 they are written: then they are written as they are, which takes a third of the time, until there is a pause again.
-While more wait than one flash has cameras no small picture is made of them: it is most of a raw frame's work, and
-nobody needs it.
+A small picture is two thirds of a raw frame's work, and to see by: five a second are made of each camera under each
+lamp, none while more frames wait than one flash has cameras. A copy (`annulus record export`) has one of each frame.
 
 Recording comes before reconstructing, and before whatever else this machine does: it has real-time priority where that
 is allowed, below who feeds it.
@@ -31,11 +31,12 @@ from annulus_pipe.record.parts import Part
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.stream.frames import CAMERAS_MAX, FrameHeader
 from annulus_pipe.stream.working import serve
-from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.vocabulary import AnnulusError, Label
 
 LOOK_S = 0.5  # between two looks at the file, and between two attempts to begin another
 HURRY_AFTER = CAMERAS_MAX + 1  # frames without a pause; so many of one flash come at once
 PAUSE_S = 0.002
+PREVIEW_NS = 180_000_000  # between two small pictures of a camera under one lamp: a fifth of a second, less its jitter
 GET_OPENCV_S = 1.0  # after the start: at once it was up half a second later
 NOT_RECORDED = "frames are labelled but not recorded"
 
@@ -61,6 +62,7 @@ class RecorderJob:
         self._codec, self._clock = codec, clock or Clock.now()
         self._done_s, self._without_pause = 0.0, 0
         self._cameras: set[int] = set()  # whose frames have come
+        self._shown_ns: dict[tuple[int, Label], int] = {}  # when a camera's last small picture under a lamp was taken
         self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
         self._bounds, self._scan = bounds, scan or uuid.uuid4().hex
         self.path = folder
@@ -82,12 +84,20 @@ class RecorderJob:
             image,
             header.timestamp_ns,
             hurried=self._without_pause >= HURRY_AFTER,
-            preview=self._without_pause < len(self._cameras),
+            preview=self._without_pause < len(self._cameras) and self._is_due(header),
         )
         self._done_s = time.monotonic()
         if writer is not None and writer.path != self.path:  # another part
             self._tell(writer)
         return str(self.path) if written else ""
+
+    def _is_due(self, header: FrameHeader) -> bool:
+        key = header.camera, header.label
+        before = self._shown_ns.get(key)
+        if before is not None and 0 <= header.timestamp_ns - before < PREVIEW_NS:
+            return False
+        self._shown_ns[key] = header.timestamp_ns
+        return True
 
     def note(self, kind: str, body: Any) -> None:
         time_ns, content, sequence = body

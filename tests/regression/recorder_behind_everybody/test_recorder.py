@@ -17,7 +17,7 @@ from annulus_pipe.daemon.account import Account
 from annulus_pipe.daemon.observer import Observer
 from annulus_pipe.daemon.pools import Recorder, RecordingSetup
 from annulus_pipe.daemon.priority import LEVEL, PUBLISHER_LEVEL, RECORDER_LEVEL, raise_priority
-from annulus_pipe.daemon.recorder import PAUSE_S, RecorderJob
+from annulus_pipe.daemon.recorder import PAUSE_S, PREVIEW_NS, RecorderJob
 from annulus_pipe.record.codec import Codec
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.stream.frames import FrameHeader
@@ -80,7 +80,19 @@ def previews(folder: Path, cameras: int, paused: bool) -> list[int]:
         time.sleep(2 * PAUSE_S if paused else 0.0)
         for camera in range(cameras):
             header = FrameHeader(
-                index, None, index, Label.LED, "", None, None, None, 0.0, "bayer_rggb8", 16, 16, camera=camera
+                index,
+                None,
+                index * PREVIEW_NS,
+                Label.LED,
+                "",
+                None,
+                None,
+                None,
+                0.0,
+                "bayer_rggb8",
+                16,
+                16,
+                camera=camera,
             )
             job._done_s += PAUSE_S if camera else 0.0  # however long this machine stood still: they came together
             assert job.frame(header, image, None)
@@ -102,6 +114,21 @@ def test_no_small_picture_is_made_while_frames_wait(tmp_path: Path) -> None:
 def test_frames_of_one_flash_do_not_wait_for_each_other(tmp_path: Path) -> None:
     first, second = previews(tmp_path / "two", 2, paused=True)
     assert first == 10 and second >= 9
+
+
+def test_small_pictures_are_made_five_times_a_second_of_each_lamp(tmp_path: Path) -> None:
+    job = RecorderJob(tmp_path, "scan", None, {}, codec=Codec.RAW)
+    image, lamps = np.zeros((16, 16), np.uint8), [*4 * [Label.PROJECTOR], Label.LED]
+    for index in range(50):  # two seconds at 25 frames a second
+        header = FrameHeader(
+            index, None, index * 40_000_000, lamps[index % 5], "", None, None, None, 0.0, "bayer_rggb8", 16, 16
+        )
+        job._done_s, job._without_pause = 0.0, 0  # frames that come one by one
+        assert job.frame(header, image, None)
+    job.close()
+    with (tmp_path / "scan.mcap").open("rb") as file:
+        shown = [message.sequence for _, _, message in make_reader(file).iter_messages(topics=["/preview/0"])]
+    assert sorted(shown) == [index for index in range(50) if index % 5 in (0, 4)]
 
 
 def test_where_no_priority_is_allowed_the_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
