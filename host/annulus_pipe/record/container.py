@@ -42,7 +42,10 @@ from annulus_pipe.record import walk as walked
 from annulus_pipe.record.walk import ATTACHMENT_MAX, PACKED_MAX, Chunk
 
 ZSTD = "zstd"
-ZSTD_LEVEL = 1  # of a mosaic: 60 % of the bytes for 4.5 ms; 3 is 10 ms for 5 % less
+ZSTD_LEVEL = 1  # 3 takes twice as long for a tenth of a mosaic's bytes
+# bits: of pictures with one colour a pixel. What a sensor's noise repeats it repeats by chance: to look for it in 64
+# places takes 2.1 to 4.3 ms, in level 1's 16 384 4.7 to 5.8, for 2 to 6 % of the bytes. docs/decisions/0055
+CELLS_HASH_LOG = 6
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _CHUNK = struct.Struct("<BQQQQII")  # opcode, length, first and last time, bytes, checksum, length of the codec's name
 _U64 = struct.Struct("<Q")
@@ -229,7 +232,11 @@ class Container:
         self._whole = _Whole(file)
         self._indexes = _Waiting(folder)
         self._contents = None if indexed is None else _Contents(folder, *indexed)
-        self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+        cells = zstandard.ZstdCompressionParameters.from_level(ZSTD_LEVEL, hash_log=CELLS_HASH_LOG)
+        self._compressors = {  # by whether it is of cells
+            False: zstandard.ZstdCompressor(level=ZSTD_LEVEL),
+            True: zstandard.ZstdCompressor(compression_params=cells),
+        }
         self._schemas: dict[str, Schema] = {}  # by name, those on disk or about to be; so with channels
         self._channels: dict[tuple[str, str], Channel] = {}  # by topic and schema
         self._issued = 0, 0  # numbers that were given out: none is given twice
@@ -297,8 +304,9 @@ class Container:
             self._attachments.append(listed)
         return done
 
-    def end_chunk(self, compressed: bool = False) -> bool:
-        """What is at hand to the disk, as one chunk; False, and gone, where that is not to be."""
+    def end_chunk(self, compressed: bool = False, cells: bool = False) -> bool:
+        """What is at hand to the disk, as one chunk; False, and gone, where that is not to be. cells : most of it is a
+        picture with one colour a pixel."""
         if not self._places:
             return True
         times = [time_ns for places in self._places.values() for time_ns, _ in places]
@@ -306,7 +314,7 @@ class Container:
         crc = 0
         for piece in self._pieces:
             crc = zlib.crc32(piece, crc)
-        codec, packed, length = self._packed(compressed)
+        codec, packed, length = self._packed(compressed, cells)
         inside = _CHUNK.size - 9 + len(codec) + 8 + length
         head = _CHUNK.pack(Opcode.CHUNK, inside, first, last, self._size, crc, len(codec))
         indexes: list[bytes] = []
@@ -397,15 +405,13 @@ class Container:
         self._pieces.append(_record(record))
         self._size += len(self._pieces[-1])
 
-    def _packed(self, compressed: bool) -> tuple[str, list[Piece], int]:
+    def _packed(self, compressed: bool, cells: bool) -> tuple[str, list[Piece], int]:
         """The chunk's codec, its bytes as they are stored, how many."""
         if compressed and self._size <= PACKED_MAX:
-            packer = self._compressor.compressobj(size=self._size)
-            packed: list[Piece] = [packer.compress(piece) for piece in self._pieces]
-            packed.append(packer.flush())
-            length = sum(map(len, packed))
-            if length < self._size:
-                return ZSTD, packed, length
+            # in one piece: piece by piece the packed bytes are moved a dozen times as they grow, which takes longer
+            packed = self._compressors[cells].compress(b"".join(self._pieces))
+            if len(packed) < self._size:
+                return ZSTD, [packed], len(packed)
         return "", self._pieces, self._size
 
     def _ending(self) -> Iterator[bytes]:

@@ -124,7 +124,8 @@ class RecordingWriter:
             content = _with_pixels(raw.SerializeToString(), image)
         self._add(LABEL_TOPIC, to_json(label), time_ns, index)
         self._put(f"{FRAME_TOPIC}/{camera}", "protobuf", viewers.form(form), time_ns, index, *content, kind=FRAME_TOPIC)
-        return self._flush(compressed=self._codec is Codec.ZSTD and not self.hurried and as_jpeg is None)
+        packed = self._codec is Codec.ZSTD and not self.hurried and as_jpeg is None
+        return self._flush(packed, cells=as_jpeg is None and CHANNELS[encoding] == 1)
 
     def note(self, topic: str, body: Mapping[str, Any], time_ns: int, sequence: int = 0) -> None:
         """A small record on any topic that is not a frame's. Goes to disk with the next frame, or with `flush`."""
@@ -204,10 +205,10 @@ class RecordingWriter:
         self._pending[kind or topic] += 1
         self._pending_bytes += sum(map(len, content))
 
-    def _flush(self, compressed: bool | None = None) -> bool:
+    def _flush(self, compressed: bool | None = None, cells: bool = False) -> bool:
         """`compressed`: by default as notes are."""
         packed = self._codec is not Codec.RAW and not self.hurried if compressed is None else compressed
-        done = self._container.end_chunk(packed)
+        done = self._container.end_chunk(packed, cells)
         (self.written if done else self.lost).update(self._pending)
         if not done:
             self.problem = _reason(self._container.failure)
