@@ -9,10 +9,10 @@ from typing import cast
 import numpy as np
 
 from annulus_pipe.numeric.arrays import Image
+from annulus_pipe.numeric.native import door
 
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
-_BESIDE, _ABOVE = ((0, -1), (0, 1)), ((-1, 0), (1, 0))  # of a cell: row and column that its neighbours lie off
-_ASKEW = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+_thinned = door("mosaic_thinned", "u1[h,w] cells", "i8 every", "b1 green_first", "b1 red_first", "u1[n,m,3]! out")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,18 +43,10 @@ class Mosaic:
         if min(rows, columns) < 1 or height + 1 >= self.cells.shape[0] or width + 1 >= self.cells.shape[1]:
             return np.ascontiguousarray(self.bgr()[first::every, first::every])  # OpenCV repeats the margin's neighbour
 
-        def mean(places: tuple[tuple[int, int], ...]) -> Image:
-            found = [self.cells[first + y :: every, first + x :: every][:rows, :columns] for y, x in places]
-            total = np.sum(found, axis=0, dtype=np.uint16)
-            return np.asarray((total + len(places) // 2) // len(places), np.uint8)
-
-        own = mean(((0, 0),))
-        if self.order[0] == "g":
-            ends, green = (mean(_BESIDE), mean(_ABOVE)), own
-        else:
-            ends, green = (own, mean(_ASKEW)), mean(_BESIDE + _ABOVE)
-        red, blue = ends if self.order in ("rggb", "grbg") else ends[::-1]
-        return np.stack([blue, green, red], axis=-1)
+        out = np.empty((rows, columns, 3), np.uint8)
+        cells = np.ascontiguousarray(self.cells)
+        _thinned(cells, every, self.order[0] == "g", self.order in ("rggb", "grbg"), out)
+        return out
 
 
 Picture = Mosaic | Image  # what a camera gave: a mosaic, or (H, W, 3) BGR

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray, arc_of
 from annulus_pipe.numeric.chroma import LED_SPREAD_MAX, PROJECTOR_SPREAD_MIN, spread
 from annulus_pipe.numeric.mosaic import Picture, thinned
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus_pipe.rings.colour import ColourProfile, differs, stripes
@@ -33,7 +33,6 @@ CLIPPED = 250  # grey level: JPEG moves full scale about by a few
 CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: edges stay where they are ..
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
 FAINT = 5  # grey level: a channel below says nothing of hue
-_NOT_FAINT = np.where(np.arange(256) > FAINT, np.arange(256), 0).astype(np.uint16)  # of each grey level, or 0
 _PART = 1.0 / np.maximum(np.arange(3 * 255 + 1), 1)  # what one grey level is of each brightness of all three channels
 SECTORS = 24  # round the image's middle: 15 degrees each
 GLARE = 0.5  # of a sector's stripes at full scale, in one frame ..
@@ -44,6 +43,16 @@ SUSPECT = 0.0015  # of the radius; points that scatter more about a cylinder are
 FLIP_BETTER = 0.5  # a flip is believed when it leaves so little of that scatter
 CLEAR = 0.15  # a stripe's colour is certain when its channel leads by this
 CHANNEL_LEAST = 0.03  # of the strongest; a channel with less light is not used by the pattern
+_frame_light = door(
+    "frame_light",
+    "u1[n,m,3] some",
+    "u1[n,m] sector",
+    "i8 faint",
+    "i8[s,256]! tops",
+    "i8[256]! seconds",
+    "i8[3]! light",
+    "i8[3,766]! squares",
+)
 KEPT, TURNED = slice(None), slice(None, None, -1)
 FLIPS = {  # in words, and of which axes of the image
     "mirrored left to right": (KEPT, TURNED),
@@ -97,27 +106,28 @@ class FrameLighting:
 def diagnose(picture: Picture) -> FrameLighting:
     """Light of one frame, from every eighth pixel of every eighth row."""
     some = thinned(picture, EVERY)
-    blue, green, red = cv2.split(some)
-    larger, smaller = cv2.max(blue, green), cv2.min(blue, green)
-    top, second = cv2.max(larger, red), cv2.max(smaller, cv2.min(larger, red))
-    above, lost = (np.cumsum(np.bincount(np.ravel(c), minlength=256)[::-1])[::-1] for c in (top, second))
+    tops, seconds = np.empty((SECTORS, 256), np.int64), np.empty(256, np.int64)
+    light, squares = np.empty(3, np.int64), np.empty((3, len(_PART)), np.int64)
+    _frame_light(some, _sectors(*some.shape[:2]), FAINT, tops, seconds, light, squares)
+    above, lost = (_from_there_on(counts) for counts in (tops.sum(axis=0), seconds))
     bright = int(np.flatnonzero(above > 0.005 * above[0])[-1])
     least = int(max(LIT_OF_BRIGHT * bright, 1))
     lit = max(int(above[least]), 1)
+    lit_of, clipped_of = tops[:, least:].sum(axis=1), tops[:, CLIPPED:].sum(axis=1)
+    glare = np.flatnonzero(clipped_of > GLARE * np.maximum(lit_of, 1))
     return FrameLighting(
         float(bright),
         float(above[CLIPPED]) / lit,
         float(lost[CLIPPED]) / lit,
-        _hues(blue, green, red),
-        _glare(top, least),
+        float(spread(light.astype(np.float64), squares @ _PART)),  # sums of whole numbers: exact
+        int(sum(1 << int(i) for i in glare)),
         zlib.crc32(some.data),
     )
 
 
-def _glare(top: NDArray[np.uint8], least: int) -> int:
-    sector = _sectors(top.shape[0], top.shape[1])
-    lit, clipped = (np.bincount(sector[top >= level], minlength=SECTORS) for level in (least, CLIPPED))
-    return int(sum(1 << int(i) for i in np.flatnonzero(clipped > GLARE * np.maximum(lit, 1))))
+def _from_there_on(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many have a level or a higher one."""
+    return np.cumsum(counts[::-1])[::-1]
 
 
 @lru_cache(maxsize=4)
@@ -126,14 +136,6 @@ def _sectors(rows: int, columns: int) -> NDArray[np.uint8]:
     y, x = np.mgrid[:rows, :columns] - 0.5 * np.array([rows - 1, columns - 1])[:, None, None]
     turn = np.arctan2(x, -y) / (2 * np.pi) % 1.0
     return np.asarray(np.minimum(turn * SECTORS, SECTORS - 1), np.uint8)
-
-
-def _hues(*channels: NDArray[np.uint8]) -> float:
-    """Variance of chromaticity over a picture, weighted with brightness."""
-    light = [_NOT_FAINT[np.ravel(one)] for one in channels]
-    brightness = sum(light[1:], start=light[0])
-    squares = (np.bincount(brightness, one * one, len(_PART)) for one in light)  # whole numbers: exact
-    return float(spread(np.array([one.sum(dtype=np.float64) for one in light]), np.array([s @ _PART for s in squares])))
 
 
 def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Finding, ...]:
