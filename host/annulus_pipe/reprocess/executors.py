@@ -33,8 +33,8 @@ Result = TypeVar("Result")
 ResultOut = TypeVar("ResultOut", covariant=True)
 
 STILLBORN_MOST = 3  # workers in a row that end before they can be given anything: the fault is no item's
-# mallopt(3): arrays of so many bytes go back as they end (long_scan.py), smaller ones with the item: until then a frame's
-# memory is the next one's. New pages for each frame take 0.5 ms.
+# mallopt(3): arrays of so many bytes go back as they end (long_scan.py), smaller ones with the item: until then one
+# frame's memory is the next one's. New pages for each frame take 0.5 ms.
 M_MMAP_THRESHOLD, GIVEN_BACK = -3, 1 << 21
 M_TRIM_THRESHOLD, KEPT = -1, 1 << 24
 LEAVE_S = 5.0  # for a worker to clear away what it has begun
