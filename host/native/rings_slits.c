@@ -8,6 +8,7 @@
 #include "selection.h"
 
 #define SLITS_MOST 48  // of one line: room for the turning points of a line on the stack; rings.slits passes PER_LINE
+#define MASKED 128     // samples of which every other one is a bit
 #define MARGIN 5       // samples at both ends of a line that nothing is looked for in
 
 // What rings.slits passes as `limits`, in this order; units and reasons stand there.
@@ -83,6 +84,22 @@ static void smoothed(const uint8_t* const bright, const int64_t length, const fl
     }
 }
 
+// Every other of `size` bytes that are 0 or 1, as bits: whoever walks along them guesses where they end four times a
+// line, not at every few samples.
+INLINE uint64_t mask_of(const uint8_t* const turning, const int64_t size)
+{
+    uint64_t mask = 0;
+    for (int64_t at = 0; at < size; at += 8) {
+        uint64_t eight = 0;
+        memcpy(&eight, turning + at, 8);
+        if (size - at < 8) {
+            eight &= (1ull << (8 * (size - at))) - 1;
+        }
+        mask |= ((eight & 0x0001000100010001u) * 0x0001000200040008u >> 48 & 15) << (at / 2);
+    }
+    return mask;
+}
+
 // Alternating tops and bottoms of a line: high[k] low[k] high[k + 1]; one is confirmed when the next has clearly begun.
 // Every other sample will do: the line is smooth, and edges are looked for between tops and bottoms sample by sample.
 // turning: room to work in. Returns how many bottoms; *crowded counts lines with more than there is room for.
@@ -103,13 +120,11 @@ static int64_t turning_points(const line_t* const line, const int64_t per_line, 
     int64_t k = 0, best = MARGIN;
     bool rising = true;
     float value = smooth[best];
-    for (int64_t start = 7; start < line->length - MARGIN; start += 8) {
-        uint64_t eight = 0;
-        memcpy(&eight, turning + start, (size_t)least(8, line->length - MARGIN - start));
-        eight &= 0x0001000100010001u;  // every other one; a byte is 0 or 1
-        while (eight != 0) {
-            const int64_t i = start + (__builtin_ctzll(eight) >> 3);
-            eight &= eight - 1;
+    for (int64_t start = 7; start < line->length - MARGIN; start += MASKED) {
+        uint64_t mask = mask_of(turning + start, least(MASKED, line->length - MARGIN - start));
+        while (mask != 0) {
+            const int64_t i = start + 2 * __builtin_ctzll(mask);
+            mask &= mask - 1;
             const float s = smooth[i];
             if (rising) {
                 if (s > value) {
