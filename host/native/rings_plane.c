@@ -10,9 +10,10 @@
 typedef uint8_t bytes_t __attribute__((vector_size(16), aligned(1), may_alias));
 
 #define PROBE_LEVELS 256
-#define AHEAD 64      // bytes of a cache line
-#define CELLS 64      // of a mosaic that are worked on side by side; even
-#define ROWS_AHEAD 2  // that are fetched while one is worked on
+#define AHEAD 64           // bytes of a cache line
+#define CELLS 64           // of a mosaic that are worked on side by side; even
+#define ROWS_AHEAD 8       // that are fetched while one is worked on ..
+#define CELL_ROWS_AHEAD 2  // .. and of a mosaic, whose rows are a third as long
 
 // The level below or at which that part of what was counted lies.
 static int64_t rank_of(const int64_t counted[PROBE_LEVELS], const double part)
@@ -48,9 +49,18 @@ DOOR void rings_look(const uint8_t* const image, const int64_t phase, const uint
     for (int64_t line = 0; line < lines; line++) {
         const uint32_t* const along = address + (line * every + 1) * n;
         const int64_t looks = (least(stop[line * every], n) + px - 1) / px;
+        // those of the next line are asked for before: each place is far from all others
+        const uint32_t* const next = along + (line + 1 < lines ? every * n : 0);
         for (int64_t k = 0; k < looks; k++) {
+            __builtin_prefetch(image + b * (int64_t)next[k * px]);
+            if (b != IN_COLOURS) {
+                __builtin_prefetch(image + (int64_t)next[k * px] - w);
+                __builtin_prefetch(image + (int64_t)next[k * px] + w);
+            }
             const int64_t at = along[k * px];
-            const pixel_t own = at < h * w ? pixel_of(&picture, at % w, at / w, b != IN_COLOURS) : (pixel_t){0, 0, 0};
+            const pixel_t own = at < h * w ? pixel_of(&picture, (int64_t)((uint32_t)at % (uint32_t)w),
+                                                      (int64_t)((uint32_t)at / (uint32_t)w), b != IN_COLOURS)
+                                           : (pixel_t){0, 0, 0};
             counted[0][own.blue]++;
             counted[1][own.green]++;
             counted[2][own.red]++;
@@ -103,8 +113,9 @@ DOOR void rings_look(const uint8_t* const image, const int64_t phase, const uint
 }
 
 // max(B, G, R) of size pixels. Each load is of 16 neighbouring bytes, the greatest of three such loads a byte apart has
-// every third byte right; three of those are 16 pixels. The last few are taken one by one.
-static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
+// every third byte right; three of those are 16 pixels. The last few are taken one by one. ahead: to the bytes that are
+// fetched, for later, into the second cache: the first has too few places to wait in.
+static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size, const int64_t ahead)
 {
     static const bytes_t FIRST = {0, 3, 6, 9, 12, 15, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16};
     static const bytes_t SECOND = {16, 16, 16, 16, 16, 16, 2, 5, 8, 11, 14, 16, 16, 16, 16, 16};
@@ -113,6 +124,7 @@ static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
     int64_t x = 0;
     for (; x + 17 <= size; x += 16, source += 48, out += 16) {  // one more: the last load is two bytes beyond
         uint8_t top[48];
+        __builtin_prefetch(source + ahead, 0, 2);
         for (int k = 0; k < 48; k++) {
             const uint8_t a = source[k], b = source[k + 1], c = source[k + 2];
             const uint8_t ab = a > b ? a : b;
@@ -213,16 +225,16 @@ DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const
                 continue;
             }
             const uint8_t* const source = image + b * (y * w + from);
-            if (y + ROWS_AHEAD < h) {
-                for (int64_t k = 0; k < b * (to - from); k += AHEAD) {
-                    __builtin_prefetch(source + ROWS_AHEAD * b * w + k);
+            if (mosaic && y + CELL_ROWS_AHEAD < h) {
+                for (int64_t k = 0; k < to - from; k += AHEAD) {
+                    __builtin_prefetch(source + CELL_ROWS_AHEAD * w + k);
                 }
             }
             uint8_t* const out = plane + y * w + from;
             if (raised) {
                 raised_of(&picture, from, y, mosaic, out, to - from, black, gain);
             } else if (!mosaic) {
-                greatest_of(source, out, to - from);
+                greatest_of(source, out, to - from, y + ROWS_AHEAD < h ? ROWS_AHEAD * b * w : 0);
             } else {
                 strongest_cells(&picture, from, to, y, plane + y * w);
             }
