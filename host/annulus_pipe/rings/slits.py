@@ -67,12 +67,9 @@ class FrameSlits:
         top = Like(np.empty(lines * length, np.uint8))
         self._scan = _scan.held(top, grid.stop, ..., ..., *edges, *found, self._counts)
         self._dark_ones = _dark_ones.held(SHALLOW, ..., np.empty(most, np.float32), *found)
-        lit = grid.cosine, grid.sine, self.direction, samples, ..., self.light, self.bright
+        lit = _ways(grid), ..., self.direction, samples, ..., self.light, self.bright
         self._lights = {
-            channels: _light.held(
-                Like(np.empty((*grid.size, channels), np.uint8)), ..., *grid.centre, ..., grid.step, *lit
-            )
-            for channels in (1, 3)
+            channels: _light.held(Like(np.empty((*grid.size, channels), np.uint8)), ..., *lit) for channels in (1, 3)
         }
 
     def find(self, unrolled: Unrolled) -> None:
@@ -84,7 +81,7 @@ class FrameSlits:
         every, self.crowded = self._counts.tolist()
         self.size = self._dark_ones(every)
         self.shallow = every - self.size
-        self._lights[unrolled.cells.shape[2]](unrolled.cells, unrolled.phase, first, self.size)
+        self._lights[unrolled.cells.shape[2]](unrolled.cells, unrolled.phase, unrolled.first, self.size)
         self.position[: self.size] += unrolled.first
 
     def take(self, slits: Slits) -> None:
@@ -123,6 +120,14 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     return table.slits()
 
 
+def _ways(grid: PolarGrid) -> NDArray[np.int64]:
+    """(J, 4) x and y, 2^-32 px, of each line's first sample and of its step; half a pixel is added, so that what lies
+    above the point is the nearest pixel."""
+    way = np.stack([grid.cosine, grid.sine], axis=1)
+    start = grid.centre + grid.first * way + 0.5
+    return np.asarray(np.rint(2.0**32 * np.hstack([start, grid.step * way])), np.int64)
+
+
 def smoothing(spacing_px: float) -> NDArray[np.float32]:
     """Middle and one side of the taps that lines are smoothed with: the stripes of the densest ring survive it."""
     sigma = min(1.4, max(0.6, spacing_px / 16.0))
@@ -152,12 +157,8 @@ _light = door(
     "rings_light",
     "u1[h,w,b] image",
     "i8 phase",
-    "f8 cx",
-    "f8 cy",
-    "f8 first",
-    "f8 step",
-    "f8[j] cosine",
-    "f8[j] sine",
+    "i8[j,4] ways",
+    "i8 first",
     "i8[n] direction",
     "i4[n,5] samples",
     "i8 size",
