@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "native.h"
-#include "rings_picture.h"
+#include "rings_frame.h"
 
 #define AHEAD 16  // slits; a power of two
 #define POINT 32  // bits behind the point of a way's numbers
@@ -205,16 +205,15 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
 // light (6, n): blue, green, red of the stripe inside, then of that outside, of the first `size` slits; bright (n,):
 // the strongest of either, together. ways (j, 4): x and y of a line's sample 0 and its step, with a half, times 2^32;
 // first: of the samples that slits are counted from.
-DOOR void rings_light(const uint8_t* const image, const int64_t phase, const int64_t* const ways, const int64_t first,
-                      const int64_t* const direction, const int32_t* const samples, const int64_t size,
-                      double* const light, double* const bright, const int64_t h, const int64_t w, const int64_t b,
-                      const int64_t j, const int64_t n)
+void rings_light(const picture_t* const picture, const bool mosaic, const int64_t* const ways, const int64_t lines,
+                 const int64_t first, const int64_t* const direction, const int32_t* const samples, const int64_t size,
+                 double* const light, double* const bright, const int64_t n)
 {
-    if (b == IN_COLOURS) {
-        const frame_t frame = {{image, w, h, phase}, j, first, ways, false};
+    if (mosaic) {
+        const frame_t frame = {*picture, lines, first, ways, true};
         light_of(&frame, direction, samples, least(size, n), light, bright, n);
     } else {
-        const frame_t frame = {{image, w, h, phase}, j, first, ways, true};
+        const frame_t frame = {*picture, lines, first, ways, false};
         light_of(&frame, direction, samples, least(size, n), light, bright, n);
     }
 }

@@ -31,7 +31,7 @@ from annulus_pipe.rings.lines import MOSAIC_PX, find_lines, line_bias, name_line
 from annulus_pipe.rings.objects import without_objects
 from annulus_pipe.rings.order import PlacedSlits, by_order
 from annulus_pipe.rings.outliers import NamedSlits, Outliers
-from annulus_pipe.rings.pedestal import without_pedestal
+from annulus_pipe.rings.pedestal import Pedestal, without_pedestal
 from annulus_pipe.rings.polar import PolarGrid, Unroller, polar_grid, unroll
 from annulus_pipe.rings.slits import FrameSlits, Slits, find_slits
 from annulus_pipe.rings.triangulate import CandidatePoints, RingOptics, ring_optics
@@ -68,6 +68,7 @@ class _Memory:
     ) -> None:
         rings, directions = optics.bend.shape
         of_lines = calibration.kind == "line"  # of one colour
+        self.pedestal = Pedestal(grid.size, grid.spacing_px)
         self.unroll, self.slits = Unroller(grid), FrameSlits(grid)
         slits = self.slits
         most = len(slits.position)
@@ -233,7 +234,7 @@ class Reconstructor:
     def _observe_slits(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
         """What the frame shows."""
         slits, candidates = memory.slits, memory.candidates
-        unrolled = memory.unroll(without_pedestal(image, self._grid.spacing_px))
+        unrolled = memory.unroll(memory.pedestal.taken_off(image))
         mark("polar")
         slits.find(unrolled)
         mark("slits")
