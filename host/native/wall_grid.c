@@ -250,3 +250,57 @@ DOOR void bridged(const double* const grid, const double cells, const double fal
         bridge(grid + first, out + first, along_rows ? a : z, along_rows ? 1 : a, cells, fall, rise, along_rows);
     }
 }
+
+// Of each cell how many observations it has, of numbers (n,), and the sum of their squares: of the ring that a number
+// says, number % k, squares (k,). ends (c,), laid (n,): room.
+DOOR void cell_observations(const int64_t* const cell, const int32_t* const number, const double* const square,
+                            int64_t* const ends, int32_t* const laid, double* const times, double* const squares,
+                            const int64_t n, const int64_t k, const int64_t c)
+{
+    if (c < 1 || k < 1) {
+        return;
+    }
+    memset(ends, 0, (size_t)c * sizeof *ends);
+    for (int64_t i = 0; i < n; i++) {
+        ends[bounded(cell[i], 0, c - 1)]++;
+    }
+    int64_t begin = 0;
+    for (int64_t i = 0; i < c; i++) {
+        const int64_t size = ends[i];
+        ends[i] = begin;
+        begin += size;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        laid[ends[bounded(cell[i], 0, c - 1)]++] = number[i];
+    }
+    begin = 0;
+    for (int64_t i = 0; i < c; i++) {
+        const int64_t end = ends[i];
+        double sum = 0.0;
+        int64_t many = 0;
+        int64_t gap = 1;  // in order, so that equals stand side by side: Shell's way, for they may come in any
+        while (gap < (end - begin) / 3) {
+            gap = 3 * gap + 1;
+        }
+        for (; gap > 0; gap /= 3) {
+            for (int64_t j = begin + gap; j < end; j++) {
+                const int32_t own = laid[j];
+                int64_t place = j;
+                while (place >= begin + gap && laid[place - gap] > own) {
+                    laid[place] = laid[place - gap];
+                    place -= gap;
+                }
+                laid[place] = own;
+            }
+        }
+        for (int64_t j = begin; j < end; j++) {
+            if (j == begin || laid[j] != laid[j - 1]) {
+                many++;
+                sum += square[bounded(laid[j] % k, 0, k - 1)];
+            }
+        }
+        times[i] = (double)many;
+        squares[i] = sum;
+        begin = end;
+    }
+}

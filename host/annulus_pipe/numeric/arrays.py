@@ -8,6 +8,7 @@ Float32Array = NDArray[np.float32]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+LabelArray = NDArray[np.int32]  # patches of a grid by their numbers from 1, 0 elsewhere
 Chips = NDArray[np.uint8]  # of an on/off code: 0 or 1, chip 0 first
 Image = NDArray[np.uint8]  # (H, W) or (H, W, C)
 

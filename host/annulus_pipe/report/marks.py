@@ -12,13 +12,12 @@ from contourpy import contour_generator
 from matplotlib.patches import Rectangle
 
 from annulus_pipe.job import Observation
-from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.arrays import FloatArray, LabelArray
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.report.names import FEATURE, INK, OBSERVED, letter, marked, question
 from annulus_pipe.report.paper import AXES_MM, badge
 from annulus_pipe.wall.defects import ALL_ROUND_DEG, Defect, Kind
 from annulus_pipe.wall.grid import Wall
-from annulus_pipe.wall.indications import LabelArray
 from annulus_pipe.wall.survey import Survey
 
 CLOSED_MM = 8.0  # half of what a gap may measure that is a rod's shadow and not the defect's shape

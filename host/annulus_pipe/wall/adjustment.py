@@ -178,18 +178,29 @@ def _of_frame(profile: Profile, sectors: int) -> tuple[FloatArray, FloatArray, F
     the wall's (a bend's radius was off by up to 1.5 %).
     """
     assert profile.pose is not None
-    x, y, _ = profile.points_mm.astype(np.float64).T
-    radius, turn = np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi)
-    key = profile.ring.astype(np.intp) * sectors + np.floor(turn * sectors).astype(np.intp) % sectors
-    order = np.lexsort((radius, key))
-    keys, start, count = np.unique(key[order], return_index=True, return_counts=True)
-    enough = count >= POINTS_LEAST
-    chosen = order[(start + count // 2)[enough]]
+    size, keys = len(profile.ring), (int(profile.ring.max()) + 1) * sectors
+    room = np.empty(keys, np.int64), np.empty(size, np.int64), np.empty(size, np.int64), np.empty((2, size))
+    chosen = np.empty(size, np.int64)
+    points, ring = np.ascontiguousarray(profile.points_mm, np.float32), np.ascontiguousarray(profile.ring)
+    chosen = chosen[: _middle_points(points, ring, sectors, POINTS_LEAST, *room, chosen)]
     stated = np.nan_to_num(profile.sigma_mm[chosen].astype(np.float64), nan=SIGMA_LEAST_MM)
     camera = profile.pose.to_camera(profile.points_mm[chosen].astype(np.float64), profile.z_mm)
-    return camera, np.maximum(stated, SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
+    return camera, np.maximum(stated, SIGMA_LEAST_MM), profile.ring[chosen].astype(np.float64)
 
 
+_middle_points = door(
+    "middle_points",
+    "f4[n,3] points",
+    "u1[n] ring",
+    "i8 sectors",
+    "i8 needed",
+    "i8[k]! ends",
+    "i8[n]! sector",
+    "i8[n]! laid",
+    "f8[2,n]! radii",
+    "i8[n]! chosen",
+    returns="i8",
+)
 _SEEN = "f8[n,3] points", "f8[n,3] slide", "f8[n,3] ways", "i8[n] ring", "i8[n] frame"
 _STATE = "f8[r,3] bias", "f8[f,5] heads", "f8[f] chainage", "f8[p,13] pieces", "f8 straight"
 _ROOM = "f8[f,16]! stands", "f8[p,16]! line", "f8[p]! radii"

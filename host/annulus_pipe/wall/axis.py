@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.cone import Cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.adjustment import (
     BIAS,
     CURVATURE,
+    HEAD,
     OFFSET,
     PIECE,
     RADIUS,
@@ -70,6 +72,24 @@ SIGHTINGS_LEAST = 20  # of a frame
 RINGS_LEAST = 3  # fewer do not tell how a pipe goes on within one frame
 ROUND_LEAST = 0.6  # of the circle seen before and behind a place, for anything to begin there: an arc misleads poses
 ROUND_OF_RADIUS = 0.5  # of the radius: so far before and behind it
+HELD = (1e-3, 1e-3, 1e-6, 1e-6, 1e9)  # added to a head's normal equations, of radians and mm: the roll stays
+LANES = 8  # points that a loop may work on beyond a frame's last
+
+_SEEN = "f8[n] z", "f8[n,2] direction", "f8[n] weight", "f8[n] residual", "f8[n,5] lean"
+_begin_normals = door(
+    "begin_normals",
+    "i8[f] first",
+    "f8[f] low",
+    "f8[f] high",
+    *_SEEN,
+    "f8[5] held_by",
+    "f8[g] places",
+    "f8[f,5,5]! heads",
+    "f8[f,5]! pull",
+    "f8[22,m]! room",
+    "f8[g,8,8]! normals",
+    "f8[g,8]! rights",
+)
 
 
 class Begins(StrEnum):
@@ -167,37 +187,25 @@ def explained(
 
     Linear, about where all is now: heads may follow, and are eliminated. lean : (N, HEAD) what those do, of `by_head`.
     """
-    z, (c, s) = now.where.chainage_mm, now.where.direction.T
+    z = now.where.chainage_mm
     weight = np.where(z < upto_mm, now.weight, 0.0) / now.unit**2
-    ends = [*seen.first[1:], len(z)]
     low, high = np.minimum.reduceat(z, seen.first), np.minimum(np.maximum.reduceat(z, seen.first), upto_mm)
-    held = np.diag([1e-3, 1e-3, 1e-6, 1e-6, 1e9])  # the roll stays
-    gain, size = np.zeros((len(at_mm), 3)), np.zeros((len(at_mm), 8))
-    for i, at in enumerate(at_mm):
-        astride = np.flatnonzero((high > at) & (low < at))
-        if not len(astride):
-            continue
-        own = slice(seen.first[astride[0]], ends[astride[-1]])  # frames stand in order; one not astride adds nothing
-        starts = seen.first[astride[0] : astride[-1] + 1] - own.start
-        d, on = np.maximum(z[own] - at, 0.0), (z[own] > at).astype(np.float64)
-        u, v, bent = c[own], s[own], d * d / 2
-        change = -np.stack([u * on, v * on, u * d, v * d, u * bent, v * bent, on, d], axis=1)
-        left = now.where.residual_mm[own]
-        weighted = lean[own] * weight[own, None]
-        both = np.add.reduceat(change[:, :, None] * weighted[:, None, :], starts)  # (F, 8, HEAD)
-        heads = np.add.reduceat(lean[own][:, :, None] * weighted[:, None, :], starts) + held
-        pull = np.add.reduceat(weighted * left[:, None], starts)
-        follow = np.linalg.solve(heads, np.concatenate([both.transpose(0, 2, 1), pull[:, :, None]], axis=2))
-        counted = change * weight[own, None]
-        normal = change.T @ counted - np.einsum("fah,fhb->ab", both, follow[:, :, :8])
-        right = counted.T @ left - np.einsum("fah,fh->a", both, follow[:, :, 8])
-        for j, kind in enumerate(KINDS):
-            pick = NUMBERS[kind]
-            own_normal = normal[np.ix_(pick, pick)]
-            own_normal = own_normal + 1e-6 * np.diag(np.diag(own_normal)) + 1e-9 * np.eye(len(pick))
-            size[i, pick] = np.linalg.solve(own_normal, -right[pick])
-            gain[i, j] = -right[pick] @ size[i, pick]
-    return gain, size
+    frames, size = len(seen.first), len(at_mm)
+    most = int(np.diff(seen.first, append=len(z)).max())
+    room = np.empty((frames, HEAD, HEAD)), np.empty((frames, HEAD)), np.empty((22, most + LANES))
+    normal, right = np.empty((size, 8, 8)), np.empty((size, 8))
+    of_points = (z, now.where.direction, weight, now.where.residual_mm, lean)
+    _begin_normals(seen.first, low, high, *of_points, np.array(HELD), at_mm, *room, normal, right)
+    gain, sizes = np.zeros((size, 3)), np.zeros((size, 8))
+    rows = np.flatnonzero(((high > at_mm[:, None]) & (low < at_mm[:, None])).any(axis=1))
+    for j, kind in enumerate(KINDS):
+        pick = NUMBERS[kind]
+        own = normal[rows][:, pick][:, :, pick]
+        own = own + 1e-6 * own * np.eye(len(pick)) + 1e-9 * np.eye(len(pick))
+        found = np.linalg.solve(own, -right[rows][:, pick, None])[:, :, 0]
+        sizes[rows[:, None], pick] = found
+        gain[rows, j] = -(right[rows][:, pick] * found).sum(axis=1)
+    return gain, sizes
 
 
 def _matters(size: FloatArray, radius: float) -> BoolArray:

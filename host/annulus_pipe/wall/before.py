@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, LabelArray, arc_of
 from annulus_pipe.numeric.rounding import DISTANCE, clock_face, span
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.grid import Wall
-from annulus_pipe.wall.indications import LabelArray, label_around
 from annulus_pipe.wall.looks import COLUMNS, Looks, dark_columns
 from annulus_pipe.wall.lost import OBJECT
+from annulus_pipe.wall.patches import label_around
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shape import harmonics
 from annulus_pipe.wall.unjudged import Unjudged

@@ -14,15 +14,16 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.numeric.late import ndimage, optimize
+from annulus_pipe.numeric.native import door
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.consistency import AGREE_OF_RADIUS, CELL_OF_RADIUS, COLUMNS
 from annulus_pipe.wall.grid import Wall, cell_medians
 from annulus_pipe.wall.profile import Profile
 
 # All by test_crosscheck.py and the benchmark `scenes` (93 to 97 % of true radii inside k = 2).
-STEPS = (1, 2)  # a spot's observations are compared with the next one and the one after; bounds what a long scan costs
+GAPS_MOST = 4  # rows of spots a point, to be numbered by looking each up
 PAIRS_LEAST = 40  # of two rings; fewer say nothing
 TOGETHER = 10  # spots beside one another err as one, round the clock: so many pairs tell what a single one would
 ALIKE = 0.5  # of the usual scale, as a square: standard deviation of the scale of one ring's noise
@@ -32,6 +33,21 @@ EDGE_PART = 0.5  # of what the wall changes by within that: evenly from side to 
 EDGE_NOISE = 5.0  # times a cell's noise: what cells of an even wall differ by at most, among so many
 OFTEN = 95.45  # per cent of differences that are less ..
 NORMAL = 2.0  # .. than so many sigma, where errors are normal
+
+# A spot's observations are compared with the next one and the one after: bounds what a long scan costs.
+_spot_pairs = door(
+    "spot_pairs",
+    "i8[n] cell",
+    "i8[n] frame",
+    "i8[n] ring",
+    "b1[c] calm",
+    "i8[c]! ends",
+    "i4[n]! order",
+    "i4[n]! one",
+    "i4[2,2,n]! pairs",
+    "i8[1]! size",
+    returns="i8",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,23 +144,26 @@ def _pairs(profiles: Sequence[Profile], ring: NDArray[np.intp], centreline: Cent
     usual = float(np.median(radius))
     if not centreline.is_even:
         radius = radius - centreline.radius_at(z)
-    row = np.floor(z / (CELL_OF_RADIUS * usual)).astype(np.int64)
-    _, row = np.unique(row, return_inverse=True)
+    row = _compact(np.floor(z / (CELL_OF_RADIUS * usual)).astype(np.int64))
     cell = row * COLUMNS + (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
     frame = np.repeat(np.arange(len(profiles)), [len(p.ring) for p in profiles])
-    order = np.lexsort((ring, frame, cell))
-    key = np.stack([cell, frame, ring])[:, order]
-    start = np.flatnonzero(np.append(True, (np.diff(key) != 0).any(axis=0)))
-    one = order[(start + np.append(start[1:], len(order))) // 2]
-    one = one[_calm(cell, radius, int(row.max()) + 1, AGREE_OF_RADIUS * usual)[cell[one]]]
-    found = []
-    for step in STEPS:
-        a, b = one[:-step], one[step:]
-        both = (cell[a] == cell[b]) & (frame[a] != frame[b])
-        found.append(np.stack([a[both], b[both]]))
-    a, b = np.concatenate(found, axis=1)
+    calm = _calm(cell, radius, int(row.max()) + 1, AGREE_OF_RADIUS * usual)
+    room = np.empty(len(calm), np.int64), np.empty(len(cell), np.int32), np.empty(len(cell), np.int32)
+    pairs, more = np.empty((2, 2, len(cell)), np.int32), np.empty(1, np.int64)
+    first = _spot_pairs(cell, frame, ring, calm, *room, pairs, more)
+    a, b = np.concatenate([pairs[0, :, :first], pairs[1, :, : more[0]]], axis=1).astype(np.intp)
     a, b = np.where(ring[a] > ring[b], b, a), np.where(ring[a] > ring[b], a, b)
     return _Pairs(a, b, radius[a] - radius[b])
+
+
+def _compact(values: IntArray) -> IntArray:
+    """The same numbered from 0 in their order, without gaps."""
+    low, high = int(values.min()), int(values.max())
+    if high - low > GAPS_MOST * len(values):  # a stray point far away
+        return np.unique(values, return_inverse=True)[1]
+    there = np.zeros(high - low + 1, np.int64)
+    there[values - low] = 1
+    return np.asarray((np.cumsum(there) - 1)[values - low])
 
 
 def _calm(cell: NDArray[np.int64], radius: FloatArray, rows: int, slack: float) -> BoolArray:

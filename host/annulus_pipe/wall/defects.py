@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, LabelArray, arc_of
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.rounding import clock_face
 from annulus_pipe.wall.chords import turn_from
@@ -20,14 +20,13 @@ from annulus_pipe.wall.indications import (
     OBSERVATION_POINTS,
     Indication,
     Kind,
-    LabelArray,
     Limits,
     Scale,
     depth_of,
     find_indications,
-    without_holes,
 )
 from annulus_pipe.wall.levels import OFF_DEG
+from annulus_pipe.wall.patches import without_holes
 from annulus_pipe.wall.points import WallPoints
 from annulus_pipe.wall.shadow import shadowed
 from annulus_pipe.wall.standing import (

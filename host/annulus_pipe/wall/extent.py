@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.numeric.late import ndimage
-from annulus_pipe.wall.indications import Indication, Kind, Scale, label_around
+from annulus_pipe.wall.indications import Indication, Kind, Scale
+from annulus_pipe.wall.patches import label_around, opened
 
 IntArray = NDArray[np.intp]
 # Held by test_extent.py (both ways) and the lengths of the benchmark `scenes`.
@@ -52,10 +52,9 @@ def goes_on(place: BoolArray, dark: BoolArray, scale: Scale) -> BoolArray:
 
 def as_large(mask: BoolArray, scale: Scale) -> BoolArray:
     """What of a mask is as large as the smallest defect, both ways."""
-    box = np.ones([max(1, math.ceil(scale.mm(scale.limits.size_of_radius) / size)) for size in scale.cell_mm], bool)
-    far = box.shape[1]
-    wide = np.pad(np.pad(mask, ((0, 0), (far, far)), mode="wrap"), ((far, far), (0, 0)), mode="edge")
-    return np.asarray(ndimage.binary_opening(wide, box)[far:-far, far:-far])
+    rows, columns = (max(1, math.ceil(scale.mm(scale.limits.size_of_radius) / size)) for size in scale.cell_mm)
+    wide = np.pad(mask, ((columns, columns), (0, 0)), mode="edge")
+    return opened(wide, rows, columns)[columns:-columns]
 
 
 def with_shadow(

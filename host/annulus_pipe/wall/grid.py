@@ -56,6 +56,16 @@ _cell_medians = door(
     "f8[c]! medians",
     "i4[c]! count",
 )
+_cell_observations = door(
+    "cell_observations",
+    "i8[n] cell",
+    "i4[n] number",
+    "f8[k] square",
+    "i8[c]! ends",
+    "i4[n]! laid",
+    "f8[c]! times",
+    "f8[c]! squares",
+)
 _smoothed = door("smoothed", "f4[z,a] field", "i8 rows", "f4[9,b]! line", "f4[z,a]! out")
 _neighbour_extremes = door("neighbour_extremes", "f8[z,a] grid", "f8[z,a]! low", "f8[z,a]! high")
 _bridged = door("bridged", "f8[z,a] grid", "f8 cells", "f8 fall", "f8 rise", "b1 along_rows", "f8[z,a]! out")
@@ -414,16 +424,13 @@ def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
     A cell interpolated along the pipe is as good as the worst measured one within `reach` rows.
     """
     seen = wall.observations
-    numbers = int(seen.number.max(initial=0)) + 1
-    key = np.sort(seen.cell * numbers + seen.number)  # np.unique's hashes take ten times as long
-    cell, number = np.divmod(key[np.flatnonzero(np.diff(key, prepend=-1))], numbers)
     departure = np.abs(seen.radius_mm - wall.shape_radius_mm().ravel()[seen.cell])
     ring = seen.number % rings
     spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
-    square = (OBSERVATION_SMOOTHED * SIGMA_OF_MAD * spread[number % rings]) ** 2
-    shape, size = wall.radius_mm.shape, wall.radius_mm.size
-    times = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
-    squares = np.bincount(cell, weights=square, minlength=size).reshape(shape)
+    square = (OBSERVATION_SMOOTHED * SIGMA_OF_MAD * spread) ** 2
+    times, squares = np.empty(wall.radius_mm.shape), np.empty(wall.radius_mm.shape)
+    room = np.empty(times.size, np.int64), np.empty(len(seen.cell), np.int32)
+    _cell_observations(seen.cell, seen.number, square, *room, times.ravel(), squares.ravel())
     # Down the column observations add; across it they are the same again: their number is the mean of who has any.
     columns = np.ones((1, 3))
     rows = np.ones((3, 1))

@@ -11,14 +11,13 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD
 from annulus_pipe.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall, smooth
+from annulus_pipe.wall.patches import closed, grown, label_around, without_holes
 
-LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
 # BAND_OVERLAP, BAND_SOUND: unguarded; the other four have not been tried. Of the limits below test_grid.py notices
 # seed_noise (upwards), seed_of_radius and observations (both ways); the rest it holds as a whole, by known defects.
@@ -100,10 +99,8 @@ class Scale:
 
     def around(self, mask: BoolArray, mm: float) -> BoolArray:
         """A mask of the grid with all that lies so near to it, both ways."""
-        half = [max(1, math.ceil(mm / size)) for size in self.cell_mm]
-        wide = np.pad(mask, ((0, 0), (half[1], half[1])), mode="wrap")
-        box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), bool)
-        return np.asarray(ndimage.binary_dilation(wide, box)[:, half[1] : -half[1]])
+        rows, columns = (max(1, math.ceil(mm / size)) for size in self.cell_mm)
+        return grown(mask, rows, columns)
 
 
 def find_indications(
@@ -131,28 +128,6 @@ def find_indications(
             (found if enough else unconfirmed).append(one)
     sound = wall.seen & sure & (np.abs(residual) < rim)
     return _across_gaps(_without_edges(found, wall.seen, scale), sound, scale), unconfirmed
-
-
-def label_around(mask: BoolArray) -> tuple[LabelArray, int]:
-    """Connected parts (corners count) of a grid whose columns close around the pipe: labels 1..n, and n."""
-    label, n = ndimage.label(mask, structure=CORNERS)
-    parent = np.arange(n + 1)
-
-    def root(i: int) -> int:
-        while parent[i] != i:
-            i = int(parent[i])
-        return i
-
-    left, right = label[:, 0], label[:, -1]
-    for shift in (-1, 0, 1):
-        a = right[max(0, -shift) : len(right) - max(0, shift)]
-        b = left[max(0, shift) : len(left) - max(0, -shift)]
-        for i, j in zip(a, b, strict=True):
-            if i and j:
-                parent[max(root(i), root(j))] = min(root(i), root(j))
-    roots = np.array([root(i) for i in range(n + 1)])
-    _, compact = np.unique(roots, return_inverse=True)
-    return compact[label].astype(np.int32), int(compact.max())
 
 
 def _cells_of(
@@ -195,32 +170,15 @@ def agreeing_observations(place: BoolArray, kind: Kind, wall: Wall, rim: FloatAr
 
 def _grow(mask: BoolArray, unseen: BoolArray, scale: Scale) -> BoolArray:
     """The mask with the narrow gaps between its parts closed; gaps nobody saw may be wider."""
-    closed = _close(mask, scale.mm(scale.limits.join_of_radius), scale.cell_mm)
+    gap = scale.mm(scale.limits.join_of_radius) / 2
+    joined = closed(mask, *(max(1, round(gap / size)) for size in scale.cell_mm))
     reach = scale.mm(scale.limits.shadow_of_radius) / 2
-    spread = closed
+    spread, free = joined, unseen | joined
     for _ in range(max(1, round(reach / min(scale.cell_mm)))):
-        spread = _dilate(spread, CORNERS) & (unseen | closed)
+        before, spread = spread, grown(spread, 1, 1) & free
+        if (spread == before).all():  # so does it stay
+            break
     return spread
-
-
-def _close(mask: BoolArray, gap_mm: float, cell: tuple[float, float]) -> BoolArray:
-    half = [max(1, round(gap_mm / 2 / c)) for c in cell]
-    box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), dtype=bool)
-    wide = np.pad(np.pad(mask, ((0, 0), (half[1] * 2, half[1] * 2)), mode="wrap"), ((half[0] * 2, half[0] * 2), (0, 0)))
-    done = ndimage.binary_closing(wide, structure=box)
-    return np.asarray(done[half[0] * 2 : -half[0] * 2, half[1] * 2 : -half[1] * 2]) | mask
-
-
-def without_holes(place: BoolArray) -> BoolArray:
-    """The place with the cells it encloses; a hole that reaches the seam of the grid is still enclosed."""
-    half = place.shape[1] // 2
-    turned = np.roll(ndimage.binary_fill_holes(np.roll(place, half, axis=1)), -half, axis=1)
-    return np.asarray(ndimage.binary_fill_holes(place) | turned)
-
-
-def _dilate(mask: BoolArray, box: BoolArray) -> BoolArray:
-    wide = np.pad(mask, ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(ndimage.binary_dilation(wide, structure=box)[:, 1:-1])
 
 
 def _is_resolved(place: BoolArray, scale: Scale, part: float) -> bool:
@@ -302,10 +260,10 @@ def _without_edges(parts: Sequence[Indication], seen: BoolArray, scale: Scale) -
         small, left = left[0], left[1:]
         halo = small.mask
         for _ in range(near):
-            halo = _dilate(halo, CORNERS)
+            halo = grown(halo, 1, 1)
         around = halo
         for _ in range(far - near):
-            around = _dilate(around, CORNERS)
+            around = grown(around, 1, 1)
         halo = halo & ~small.mask
         touching = [k for k, large in enumerate(left) if (large.mask & around).any()]
         larger = np.zeros_like(halo)

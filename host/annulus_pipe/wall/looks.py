@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, nan_median
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.rests import places_of
-from annulus_pipe.wall.shape import harmonics
 
 COLUMNS = 360  # round the clock
 WAVES = 3  # a ring's place along the pipe is a mean and so many waves round the clock: lean, bend, ovality
@@ -26,6 +26,10 @@ SCATTER_OF_RADIUS = 0.02  # of the radius: and a ring that is farther from so sm
 SURFACE_OF_RADIUS = 0.05  # of the radius: points this near the shape tell where a ring runs
 DARK = 0.5  # of the usual part of looks that arrive: columns with less are a rod's, a cable's or dead
 PLACE_LEAST_OF_RADIUS = 0.0007  # of the radius: a ring's place is not known better (0.05 mm in a 6-inch pipe)
+
+_shape_departures = door(
+    "shape_departures", "f4[n,3] points", "f8[z] stations", "f8[z,5] shape", "f8[n]! radius", "f8[n]! departure"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +62,13 @@ def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) 
     """Points and looks of all profiles that have a pose and points."""
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     rings = len(calibration.rings)
-    x, y, z = np.concatenate([p.points_mm for p in used]).astype(np.float64).T
+    every = np.concatenate([p.points_mm for p in used])
+    x, y, z = every.astype(np.float64).T
     ring = np.concatenate([p.ring for p in used]).astype(np.int64)
     look = np.repeat(np.arange(len(used)) * rings, [len(p.points_mm) for p in used]) + ring
-    radius, clock = np.hypot(x, y), np.degrees(np.arctan2(x, -y)) % 360.0
-    shape = np.stack([np.interp(z, wall.z_mm, column) for column in wall.shape_mm.T], axis=1)
-    departure = radius - (shape * harmonics(clock)).sum(axis=1)
+    clock = np.degrees(np.arctan2(x, -y)) % 360.0
+    radius, departure = np.empty(len(every)), np.empty(len(every))
+    _shape_departures(every, wall.z_mm, wall.shape_mm, radius, departure)
     points = LookPoints(radius, clock, z, departure, look)
 
     vertex = np.array([cone.vertex_mm[2] for cone in calibration.rings])

@@ -24,8 +24,8 @@ from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import ALIKE, Wall
-from annulus_pipe.wall.indications import label_around
 from annulus_pipe.wall.looks import COLUMNS, LookPoints, Looks, looks_of
+from annulus_pipe.wall.patches import grown, label_around
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shape import harmonics
 
@@ -148,7 +148,7 @@ def _standing(wall: Wall, size: float) -> Iterator[_Bore]:
     its sides and its near end are seen."""
     high = wall.seen & (-wall.residual_mm() > RIM_LEAST * size)
     cells = [max(1, round(RIM_WIDTH * size / one)) for one in (wall.z_step_mm, np.radians(wall.clock_step_deg) * size)]
-    label, n = label_around(ndimage.binary_dilation(high, np.ones([2 * (one // 2) + 1 for one in cells], bool)))
+    label, n = label_around(grown(high, *(one // 2 for one in cells), closes=False))
     for i in range(1, n + 1):
         rows, columns = np.nonzero(high & (label == i))
         if not len(rows):

@@ -36,6 +36,8 @@ def between_levels(radius_mm: FloatArray, z_step_mm: float, rise: float) -> Bool
     across = radius_mm - np.take_along_axis(radius_mm, before.clip(0), axis=0)
     with np.errstate(invalid="ignore"):
         steep = seen & (before >= 0) & (across > (index - before) * z_step_mm * rise + STEP_MM)
+    if not steep.any():
+        return np.asarray(steep)
     low, high = np.full(radius_mm.shape, np.nan), np.full(radius_mm.shape, np.nan)  # of the step a cell lies behind
     size = float(np.nanmedian(radius_mm)) / z_step_mm if seen.any() else 0.0
     ahead, behind = max(2, round(RIM_OF_RADIUS * size)), max(3, round(FLOOR_OF_RADIUS * size))
@@ -48,13 +50,17 @@ def between_levels(radius_mm: FloatArray, z_step_mm: float, rise: float) -> Bool
             part = slice(max(last - reach, 0), i + reach + 1)
             low[part, column], high[part, column] = below, above
     # Beside such places the same step goes on, though it may be seen in too few cells to look steep.
+    near = np.flatnonzero(np.isfinite(low).any(axis=1))
+    rows_of, low, high = radius_mm[near], low[near], high[near]
     for _ in range(round(SIDEWAYS_DEG * columns / 360.0)):
         for way in (-1, 1):
             free = np.isnan(low)
             beside = np.roll(low, way, axis=1), np.roll(high, way, axis=1)
-            more = free & _between(radius_mm, *beside)
+            more = free & _between(rows_of, *beside)
             low[more], high[more] = beside[0][more], beside[1][more]
-    return seen & _between(radius_mm, low, high)
+    out = np.zeros(radius_mm.shape, bool)
+    out[near] = seen[near] & _between(rows_of, low, high)
+    return out
 
 
 def _between(radius_mm: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:

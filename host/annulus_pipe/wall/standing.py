@@ -16,7 +16,8 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.wall.grid import Wall, smooth
-from annulus_pipe.wall.indications import Indication, Kind, Scale, agreeing_observations, label_around
+from annulus_pipe.wall.indications import Indication, Kind, Scale, agreeing_observations
+from annulus_pipe.wall.patches import label_around
 
 # Held by tests/regression/dark_red_on_the_map_and_in_no_list.
 RIM_PART = 0.6  # of the depth of what is listed beside it: a lower patch within a slit's width is that one's own rim

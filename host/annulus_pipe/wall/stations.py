@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from annulus_pipe.numeric.arrays import Float32Array, FloatArray, arc_of
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
 from annulus_pipe.numeric.late import ndimage
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, quoted, span
 from annulus_pipe.vocabulary import Finding
@@ -35,6 +36,22 @@ END_DEG = 3.0  # either side of it: what of that nobody saw may lie as far from 
 HAND_DEG = 2.5  # either side of an hour, in which both radii about the end of a diameter must lie
 ROW_SEEN = 0.5  # part of the circle: a row of which less was seen may lie as deep as either neighbour
 EVEN_DEG = 5.0  # radii are evened out over so much before the line is measured: noise makes it longer, never shorter
+
+_station_medians = door("station_medians", "f4[z,a] field", "i8 rows", "i8 beside", "f8[m]! values", "f8[s,a]! out")
+_closed_lines = door(
+    "closed_lines",
+    "f8[s,a] radii",
+    "f8[s,a] usual",
+    "f8 unseen_most",
+    "f8 gap_most",
+    "i8 even",
+    "f8 chord",
+    "f8 cosine",
+    "f8 angle",
+    "f8[a]! line",
+    "f8[a]! even_line",
+    "f8[s,2]! out",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,29 +182,32 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     shape, fitted_mm, basis = shape_ovality(wall), wall.shape_radius_mm(), harmonics(wall.clock_deg)
     # by so much an ellipse, or a pipe between plates, departs from a shape of two waves
     bent = (wall.shape_mm[:, 3] ** 2 + wall.shape_mm[:, 4] ** 2) / np.maximum(wall.shape_mm[:, 0], 1.0)
-    out, mixed_mm = [], _mixed_mm(wall, fitted_mm, rows)
-    for start in range(0, len(wall.z_mm), rows):
-        part = slice(start, min(start + rows, len(wall.z_mm)))
-        radius = _column_median(wall.radius_mm[part])
+    out, mixed_mm, seen = [], _mixed_mm(wall, fitted_mm, rows), wall.seen
+    parts = [slice(start, min(start + rows, len(seen))) for start in range(0, len(seen), rows)]
+    lines, sigmas = station_medians(wall.radius_mm, rows, 1), station_medians(wall.sigma_mm, rows, 1)
+    outlines = np.array([fitted_mm[part].mean(axis=0, dtype=float) for part in parts])
+    round_it, of_shape = around_mm(lines, outlines), around_mm(outlines, outlines)[:, 0]
+    ends = _Ends.of(np.array([seen[part].mean(axis=0) for part in parts]), lines, lines - outlines, sigmas)
+    for i, part in enumerate(parts):
+        radius, outline = lines[i], outlines[i]
         diameter = radius[: columns // 2] + radius[columns // 2 :]
-        valid = float(wall.seen[part].mean())
+        valid = float(seen[part].mean())
         stated = wall.sigma_mm[part][np.isfinite(wall.sigma_mm[part])]
         point = error = float(np.median(stated)) if len(stated) else np.nan
-        outline = fitted_mm[part].mean(axis=0, dtype=float)
         of_unseen = (basis * ~np.isfinite(radius)[:, None]).mean(axis=0)
-        middle = wall.shape_covariance[start + (part.stop - start) // 2]
+        middle = wall.shape_covariance[part.start + (part.stop - part.start) // 2]
         is_known = bool(np.isfinite(middle).all()) or not of_unseen.any()
         guessed = 2.0 * np.sqrt(max(of_unseen @ middle @ of_unseen, 0.0)) if is_known and of_unseen.any() else 0.0
         guessed += 2.0 * of_unseen[0] * float(bent[part].mean())
         alike = 2.0 * scale * float(wall.shape_mm[part, 0].mean())
         k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + alike**2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
-        mixed = mixed_mm[start // rows]
+        mixed = mixed_mm[i]
         k2, error = float(np.hypot(k2, 2.0 * mixed)), float(np.hypot(error, mixed / 2.0))
-        (low, low_k2), (high, high_k2) = _extremes(wall, part, radius, radius - outline, point, k2)
+        (low, low_k2), (high, high_k2) = ends.extremes(i, point, k2)
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
         across = across_mm(radius, wall.shape_mm[part].mean(axis=0), wall.clock_deg)
-        length, area = around_mm(radius, outline)
+        length, area = (float(one) for one in round_it[i])
         wide = np.hypot(error, wall.scale_part * float(wall.shape_mm[part, 0].mean()))
         sizes = (*across, length, 4 * np.pi * wide if length > 0 else np.nan, area, 2 * length * wide)
         if len(measured) < PAIRS_NEEDED * len(diameter):
@@ -195,34 +215,48 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
             k2 = k2 if known else np.nan
             out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, k2, np.nan, np.nan, *sizes))
             continue
-        mean = _closed(outline)[0] / np.pi + 2.0 * float(np.nan_to_num(radius - outline).mean()) if is_known else np.nan
+        mean = of_shape[i] / np.pi + 2.0 * float(np.nan_to_num(radius - outline).mean()) if is_known else np.nan
         out.append((z, low, high, mean, float(shape[part].mean()), valid, k2, low_k2, high_k2, *sizes))
-    z_mm, smallest, largest, means, fitted, seen, *more = np.array(out, dtype=float).T
-    return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, *more)
+    z_mm, smallest, largest, means, fitted, fraction, *more = np.array(out, dtype=float).T
+    return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, fraction, *more)
 
 
-def _extremes(
-    wall: Wall, part: slice, radius_mm: FloatArray, departure_mm: FloatArray, point_mm: float, k2_mm: float
-) -> FloatArray:
-    """(2, 2) mm: the least and the greatest diameter of a station, each with its k2; NaN where none was seen.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ends:
+    """Where diameters of stations may end. (S, A / 2) by the first of their two ends: diameter, NaN where not seen;
+    among, those an extreme may be of. (S, A): what the wall may be off where nobody saw it, mm; sigma_mm of a point."""
 
-    radius_mm (A,), NaN where not seen; departure_mm (A,) of the radii from the pipe's shape; point_mm, what one of
-    the station's points may be off in the median; k2_mm of a diameter of such points.
-    """
-    half, reach = len(radius_mm) // 2, round(END_DEG * len(radius_mm) / 360.0)
-    seen = wall.seen[part].mean(axis=0)
-    near = ndimage.uniform_filter1d(seen, 3, mode="wrap") >= END_SEEN - 1e-9  # sums round
-    diameter = radius_mm[:half] + radius_mm[half:]
-    known = np.isfinite(diameter)
-    among = np.flatnonzero(known & near[:half] & near[half:])
-    among = among if len(among) else np.flatnonzero(known)
-    if not len(among):
-        return np.full((2, 2), np.nan)
-    unseen = 1.0 - ndimage.uniform_filter1d(seen, 2 * reach + 1, mode="wrap")
-    more = np.sqrt(np.nan_to_num(np.maximum(_column_median(wall.sigma_mm[part]) ** 2 - point_mm**2, 0.0)))
-    unsure = np.linalg.norm(np.hypot(unseen * departure_mm, more).reshape(2, half), axis=0)
-    ends = among[[np.argmin(diameter[among]), np.argmax(diameter[among])]]
-    return np.stack([diameter[ends], np.hypot(k2_mm, 2.0 * unsure[ends])], axis=1)
+    diameter_mm: FloatArray
+    among: BoolArray
+    unseen_mm: FloatArray
+    sigma_mm: FloatArray
+
+    @classmethod
+    def of(cls, seen: FloatArray, radius_mm: FloatArray, departure_mm: FloatArray, sigma_mm: FloatArray) -> "_Ends":
+        """seen (S, A) part of a station's cells; radius_mm, NaN where not seen, its departure from the pipe's shape."""
+        half, reach = seen.shape[1] // 2, round(END_DEG * seen.shape[1] / 360.0)
+        near = ndimage.uniform_filter1d(seen, 3, mode="wrap") >= END_SEEN - 1e-9  # sums round
+        diameter = radius_mm[:, :half] + radius_mm[:, half:]
+        known = np.isfinite(diameter)
+        among = known & near[:, :half] & near[:, half:]
+        among = np.where(among.any(axis=1)[:, None], among, known)
+        unseen = 1.0 - ndimage.uniform_filter1d(seen, 2 * reach + 1, mode="wrap")
+        return cls(diameter, among, unseen * departure_mm, sigma_mm)
+
+    def extremes(self, station: int, point_mm: float, k2_mm: float) -> FloatArray:
+        """(2, 2) mm: the least and the greatest diameter of a station, each with its k2; NaN where none was seen.
+
+        point_mm, what one of the station's points may be off in the median; k2_mm of a diameter of such points.
+        """
+        among = np.flatnonzero(self.among[station])
+        if not len(among):
+            return np.full((2, 2), np.nan)
+        diameter = self.diameter_mm[station]
+        ends = among[[np.argmin(diameter[among]), np.argmax(diameter[among])]]
+        both = np.stack([ends, ends + len(diameter)])  # of each its two ends
+        more = np.sqrt(np.nan_to_num(np.maximum(self.sigma_mm[station][both] ** 2 - point_mm**2, 0.0)))
+        unsure = np.linalg.norm(np.hypot(self.unseen_mm[station][both], more), axis=0)
+        return np.stack([diameter[ends], np.hypot(k2_mm, 2.0 * unsure)], axis=1)
 
 
 def _mixed_mm(wall: Wall, fitted_mm: Float32Array, rows: int) -> FloatArray:
@@ -269,41 +303,24 @@ def across_mm(radius_mm: FloatArray, shape_mm: FloatArray, clock_deg: FloatArray
     return ends[1] + ends[3], ends[0] + ends[2]
 
 
-def around_mm(radius_mm: FloatArray, shape_mm: FloatArray) -> tuple[float, float]:
-    """Length of the closed line of the wall, mm, and the area in it, mm^2; NaN where too wide an arc was not seen.
+def around_mm(radius_mm: FloatArray, shape_mm: FloatArray) -> FloatArray:
+    """(S, 2) length of the wall's closed line, mm, and the area in it, mm^2; NaN where too wide an arc was not seen.
 
-    radius_mm (A,), NaN where not seen; shape_mm (A,) the pipe's radii, in whose course a narrow arc is crossed.
+    radius_mm (S, A), NaN where not seen; shape_mm (S, A) the pipe's radii, in whose course a narrow arc is crossed.
+    Noise is evened out.
     """
-    n = len(radius_mm)
-    seen = np.isfinite(radius_mm)
-    if seen.mean() < 1.0 - GAPS_MAX:
-        return np.nan, np.nan
-    known = np.flatnonzero(seen)
-    gaps = np.diff(known, append=known[0] + n) - 1
-    if gaps.max() * 360.0 / n > GAP_MAX_DEG:
-        return np.nan, np.nan
-    departure = np.interp(np.arange(n), known, (radius_mm - shape_mm)[known], period=n)
-    return _closed(shape_mm + departure)
-
-
-def _closed(radius_mm: FloatArray) -> tuple[float, float]:
-    """Length, mm, and area, mm^2, of the line through radii (A,) all the way round, noise evened out."""
-    n = len(radius_mm)
-    radius = ndimage.uniform_filter1d(radius_mm, max(1, round(EVEN_DEG * n / 360.0)), mode="wrap")
-    turn = 2 * np.pi / n
-    ahead = np.roll(radius, -1)
+    n = radius_mm.shape[1]
+    out, turn = np.empty((len(radius_mm), 2)), 2 * np.pi / n
     # a chord is shorter than the arc that its two radii stand for: a circle of n corners is a circle again
-    arc = (turn / 2) / np.sin(turn / 2)
-    length = arc * np.sqrt(radius**2 + ahead**2 - 2 * radius * ahead * np.cos(turn)).sum()
-    return float(length), float(0.5 * turn * (radius**2).sum())
+    of_arc = (turn / 2) / np.sin(turn / 2), np.cos(turn), turn
+    limits = GAPS_MAX * n, GAP_MAX_DEG * n / 360.0, max(1, round(EVEN_DEG * n / 360.0))
+    _closed_lines(radius_mm, shape_mm, *limits, *of_arc, np.empty(n), np.empty(n), out)
+    return out
 
 
-def _column_median(rows: Float32Array) -> FloatArray:
-    """(A,) median down the slice and over each column's two neighbours, round the clock; NaN where not seen."""
-    stack = np.concatenate([np.roll(rows, shift, axis=1) for shift in (-1, 0, 1)]).astype(float)
-    stack.sort(axis=0)
-    n = np.isfinite(stack).sum(axis=0)
-    low = np.take_along_axis(stack, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
-    high = np.take_along_axis(stack, np.minimum(n // 2, len(stack) - 1)[None], axis=0)[0]
-    seen = np.isfinite(rows).any(axis=0)
-    return np.where(seen, 0.5 * (low + high), np.nan)
+def station_medians(field: Float32Array, rows: int, beside: int) -> FloatArray:
+    """(S, A) medians over so many rows and columns beside on either side, round the clock; NaN where not seen."""
+    stations = -(-len(field) // rows)
+    out = np.empty((stations, field.shape[1]))
+    _station_medians(np.ascontiguousarray(field, np.float32), rows, beside, np.empty(rows * (2 * beside + 1)), out)
+    return out

@@ -18,7 +18,6 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus_pipe.numeric.late import ndimage
-from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.numeric.rounding import DISTANCE, clock_face, span
 from annulus_pipe.wall.apart import Apart
 from annulus_pipe.wall.chords import turn_from
@@ -26,11 +25,12 @@ from annulus_pipe.wall.defects import Defect, Detection, Kind
 from annulus_pipe.wall.extent import as_large, goes_on
 from annulus_pipe.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
 from annulus_pipe.wall.grid import BRIDGE_OF_RADIUS, Wall
-from annulus_pipe.wall.indications import Scale, label_around
+from annulus_pipe.wall.indications import Scale
 from annulus_pipe.wall.looks import Looks
+from annulus_pipe.wall.patches import label_around, opened, runs
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
-from annulus_pipe.wall.unseen import END_OF_RADIUS, find_holes, runs
+from annulus_pipe.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, station_medians, swing_k2_mm
+from annulus_pipe.wall.unseen import END_OF_RADIUS, find_holes
 
 # Held by test_never_flattered.py. Set with its draws 1 to 61 and 301 to 325 in view; the others are held out.
 ASIDE_OF_RADIUS = 0.08  # nearer to an end of the scan a joint has wall on one side only: 6 mm of a 6-inch pipe
@@ -244,9 +244,7 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
         inside = (row >= 0) & (row < len(hit))
         column = np.floor(np.degrees(np.arctan2(x, -y))[inside] / wall.clock_step_deg).astype(np.intp) % columns
         hit[row[inside].astype(np.intp), column] = True
-    box = np.ones((max(1, round(size / fine)), _cells(size, scale.cell_mm[1])), bool)
-    wide = np.pad(~hit, ((0, 0), (columns // 8, columns // 8)), mode="wrap")
-    empty = np.asarray(ndimage.binary_opening(wide, box)[:, columns // 8 : -(columns // 8)])
+    empty = opened(~hit, max(1, round(size / fine)), _cells(size, scale.cell_mm[1]))
     at = np.minimum(((np.arange(len(hit)) + 0.5) * fine / wall.z_step_mm).astype(np.intp), len(wall.z_mm) - 1)
     label, _ = label_around(empty & ~besides[at])
     tall = np.array([0.0, *((rows.stop - rows.start) * fine for rows, _ in ndimage.find_objects(label))])
@@ -311,10 +309,11 @@ def _ovality(wall: Wall, detection: Detection, no_wall: BoolArray | None, scale:
     rows = max(1, round(STATION_MM / wall.z_step_mm))
     half = len(wall.clock_deg) // 2
     across_percent = np.zeros(len(wall.z_mm))
-    for start in range(0, len(across_percent), rows):
-        part = slice(start, start + rows)
-        radius = np.where(sound[part], wall.radius_mm[part], np.nan)
-        line = _even(nan_median(radius))
+    middle = station_medians(np.where(sound, wall.radius_mm, np.float32(np.nan)), rows, 0)
+    for i, line in enumerate(
+        station_medians(middle.astype(np.float32), 1, 2).astype(np.float32)
+    ):  # evened out over five columns
+        part = slice(i * rows, (i + 1) * rows)
         across = line[:half] + line[half:]
         known = across[np.isfinite(across)]
         if len(known) < half / 4:
@@ -330,12 +329,6 @@ def _ovality(wall: Wall, detection: Detection, no_wall: BoolArray | None, scale:
             first, last = float(wall.z_mm[mine[0]]) - step, float(wall.z_mm[mine[-1]]) + step
             reason = "diameters there are farther out of round than the oval that was fitted"
             yield Unjudged(("ovality",), reason, first, last, most=float(across_percent[mine].max()))
-
-
-def _even(line: FloatArray) -> FloatArray:
-    """(A,) median over five neighbouring columns, round the clock; NaN where not seen."""
-    around = nan_median(np.stack([np.roll(line, shift) for shift in range(-2, 3)]))
-    return np.where(np.isfinite(line), around, np.nan)
 
 
 def _bore(wall: Wall, no_wall: BoolArray | None) -> Iterator[Unjudged]:

@@ -14,8 +14,9 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.wall.extent import as_large
 from annulus_pipe.wall.grid import BRIDGE_OF_RADIUS, Wall
-from annulus_pipe.wall.indications import Scale, label_around
+from annulus_pipe.wall.indications import Scale
 from annulus_pipe.wall.looks import COLUMNS, Looks
+from annulus_pipe.wall.patches import label_around, runs
 from annulus_pipe.wall.stations import GAP_MAX_DEG
 
 # Held by tests/regression/hole_in_the_map_that_nobody_mentions and test_never_flattered.py.
@@ -137,20 +138,6 @@ def _compact(hole: BoolArray, scale: Scale) -> Iterator[tuple[slice, BoolArray]]
         else:
             middle = (columns.start + columns.stop) // 2
             left += [(rows, slice(columns.start, middle)), (rows, slice(middle, columns.stop))]
-
-
-def runs(mask: BoolArray) -> FloatArray:
-    """(Z, A) columns of the run round the pipe that each marked cell lies in; 0 elsewhere."""
-    out = np.zeros(mask.shape)
-    for row in np.flatnonzero(mask.any(axis=1)):
-        line = mask[row]
-        if line.all():
-            out[row] = len(line)
-            continue
-        start = int(np.argmin(line))
-        label, _n = ndimage.label(np.roll(line, -start))
-        out[row] = np.roll(np.append(0, np.bincount(label)[1:])[label], start)
-    return out
 
 
 def _passed(wall: Wall, looks: Looks, scale: Scale) -> tuple[FloatArray, BoolArray, BoolArray]:

@@ -9,7 +9,7 @@ from over_limit import draw, scanned
 from synthetic_pipe import CALIBRATION, pocket, round_pipe
 
 from annulus_pipe.wall.grid import smooth
-from annulus_pipe.wall.indications import label_around
+from annulus_pipe.wall.patches import label_around
 from annulus_pipe.wall.survey import Survey, survey
 
 

@@ -9,12 +9,18 @@ from scipy.special import ellipe
 
 from annulus_pipe.wall.grid import Wall, WallObservations
 from annulus_pipe.wall.shape import fit_shape
-from annulus_pipe.wall.stations import across_mm, around_mm, measure_stations
+from annulus_pipe.wall.stations import across_mm, measure_stations
+from annulus_pipe.wall.stations import around_mm as around_all
 
 CLOCK = np.arange(360) + 0.5
 T = np.radians(CLOCK)
 ROUND = np.full(360, 76.2)
 CENTRED = np.array([76.2, 0.0, 0.0, 0.0, 0.0])
+
+
+def around_mm(radius_mm: np.ndarray, shape_mm: np.ndarray) -> tuple[float, float]:
+    ((length, area),) = around_all(radius_mm[None], shape_mm[None])
+    return float(length), float(area)
 
 
 def ellipse(a: float, b: float, turn_deg: float = 0.0) -> np.ndarray:
