@@ -205,7 +205,7 @@ class Reconstructor:
             )
         mark("outliers")
         fitted = self._fit(memory, fitted.pose) or fitted
-        pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
+        pose = fitted.pose if roll_deg is None else replace(fitted.pose, roll=math.radians(roll_deg))
         mark("pose")
         memory.rotation[:], memory.shift[:] = pose.rotation, pose.translation
         kept = memory.keep(z_mm, slits.size)
@@ -239,11 +239,9 @@ class Reconstructor:
         mark("slits")
         memory.names.name(slits.size)
         mark("colours")
-
-        def named(pose: Pose, tolerance: float) -> NDArray[np.int64]:
-            return memory.points.read(pose, self.calibration.pipe_radius_mm, tolerance)
-
-        return named, {"crowded": slits.crowded, "shallow": slits.shallow, "colour": candidates.unclear}
+        pipe, read = self.calibration.pipe_radius_mm, memory.points.read
+        rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": candidates.unclear}
+        return lambda pose, tolerance: read(pose, pipe, tolerance), rejected
 
     def _observe_lines(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
         slits, candidates = memory.slits, memory.candidates
