@@ -10,6 +10,9 @@
 #define RUN 4     // pixels of a stripe that are read side by side: all, of rings up to 58 px apart
 #define PLACES (3 * RUN)
 
+#pragma GCC diagnostic ignored                                                                                         \
+    "-Wpsabi"  // how such values are handed over changes with the level: none is, all is inline
+
 // Four numbers side by side; a mask of whole numbers has all bits or none.
 typedef double four_t __attribute__((vector_size(8 * RUN)));
 typedef int64_t mask_t __attribute__((vector_size(8 * RUN)));
@@ -31,17 +34,14 @@ typedef struct {
     uint32_t there[PLACES], column[PLACES], row[PLACES];
 } places_t;
 
-INLINE four_t chosen(const mask_t mask, const four_t yes, const four_t no)
-{
-    return (four_t)((mask & (mask_t)yes) | (~mask & (mask_t)no));
-}
+#define CHOSEN(mask, yes, no) ((four_t)(((mask) & (mask_t)(yes)) | (~(mask) & (mask_t)(no))))
 
-// Whole numbers of four values that may be anything.
-INLINE whole_t whole_of(const four_t values, const int64_t low, const int64_t high)
+// Whole numbers of four values that may be anything. (By address: how such values are handed over changes with levels.)
+INLINE whole_t whole_of(const four_t* const values, const int64_t low, const int64_t high)
 {
     const four_t least_of = (four_t){0.0} + (double)low, most_of = (four_t){0.0} + (double)high;
-    const four_t above = chosen(values > least_of, values, least_of);
-    return __builtin_convertvector(chosen(above < most_of, above, most_of), whole_t);
+    const four_t above = CHOSEN(*values > least_of, *values, least_of);
+    return __builtin_convertvector(CHOSEN(above < most_of, above, most_of), whole_t);
 }
 
 // Samples a, a + 2, .. of a line: half of them its own, the rest of its two neighbours. The nearest pixels to four.
@@ -55,8 +55,9 @@ INLINE void places_of(const frame_t* const frame, const int64_t line, const int6
     const four_t steps = (four_t){0.0, 2.0, 4.0, 6.0} + (double)first;
     const four_t x0 = {own[0], before[0], own[0], after[0]}, dx = {own[2], before[2], own[2], after[2]};
     const four_t y0 = {own[1], before[1], own[1], after[1]}, dy = {own[3], before[3], own[3], after[3]};
-    *x = whole_of(x0 + steps * dx, margin, frame->picture.width - 1 - margin);
-    *y = whole_of(y0 + steps * dy, margin, frame->picture.height - 1 - margin);
+    const four_t across = x0 + steps * dx, down = y0 + steps * dy;
+    *x = whole_of(&across, margin, frame->picture.width - 1 - margin);
+    *y = whole_of(&down, margin, frame->picture.height - 1 - margin);
 }
 
 // The three runs of samples of a slit: of its bottom, inside, outside.
