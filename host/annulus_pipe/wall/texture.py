@@ -54,6 +54,11 @@ class _Patch:
     ahead: FloatArray  # (rows,) mm
 
 
+def shows(z_mm: float, radius_mm: float, first_mm: float, last_mm: float) -> bool:
+    """Whether a frame taken there shows colours of the wall between two stations."""
+    return z_mm + FARTHEST_OF_RADIUS * radius_mm >= first_mm and z_mm + NEAREST_OF_RADIUS * radius_mm <= last_mm
+
+
 class HeadPath:
     """Where the head was, between the poses of profiles."""
 
