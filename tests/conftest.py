@@ -25,6 +25,7 @@ from pathlib import Path
 
 import pytest
 import tiers
+from hypothesis import settings
 
 ALLOWED = ("../shared", "too busy")  # scenes that only the authors have; a machine that cannot emulate in real time
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -59,6 +60,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    settings.register_profile("unhurried", settings(), deadline=None)  # 0.2 s a draw: the machine may have other work
+    settings.load_profile("unhurried")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun by a shell with `&`: our children would ignore Ctrl-C
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[COSTS] = defaultdict(lambda: defaultdict(float))

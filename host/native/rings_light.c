@@ -1,30 +1,48 @@
 // What a frame shows beside each slit: the light of its two stripes, the slit's own darkness taken off. The pixels lie
 // all over the frame, so the places of slits ahead are worked out and fetched while those at hand are read.
 
-#include <math.h>
+#include <string.h>
 
 #include "native.h"
-#include "rings_picture.h"
+#include "rings_frame.h"
 
-#define AHEAD 16   // slits; a power of two
-#define PACKED 20  // bits of a pixel's column; its row stands above them
-#define PLACES 24  // of a slit whose pixels are fetched ahead: stripes of rings up to 60 px apart
+#define AHEAD 16  // slits; a power of two
+#define POINT 32  // bits behind the point of a way's numbers
+#define BOTTOM 2  // pixels that a slit's own darkness is the mean of ..
+#define STRIPE 4  // .. and that a stripe's light is, of rings up to 58 px apart: as many are read side by side
+#define PLACES (BOTTOM + 2 * STRIPE)
+
+static const uint8_t BLACK[IN_COLOURS];  // where no pixel counts
 
 typedef struct {
     picture_t picture;
-    int64_t lines, bytes;
-    double cx, cy, first, step;
-    const double* cosine;
-    const double* sine;
+    int64_t lines, first;
+    const int64_t* ways;  // (lines, 4)
+    bool mosaic;
 } frame_t;
 
-// The nearest pixel to sample i of a line, as its place among the frame's.
-INLINE int64_t place_of(const frame_t* const frame, const int64_t line, const int64_t i)
+// Pixels of one slit: where they are; of a mosaic never at its margin, and all bits set of those that count and that
+// lie in a column, or a row, of red cells.
+typedef struct {
+    const uint8_t* pixel[PLACES];
+    uint32_t there[PLACES], column[PLACES], row[PLACES];
+} places_t;
+
+// The nearest pixel to sample i of a line, x and y. A way's numbers are the grid's own; what others are made of wraps.
+INLINE int64_t place_of(const frame_t* const frame, const int64_t line, const int64_t i, int64_t* const x,
+                        int64_t* const y)
 {
-    const double far = frame->first + frame->step * (double)i;
-    const int64_t x = whole(frame->cx + far * frame->cosine[line] + 0.5, 0, frame->picture.width - 1);
-    const int64_t y = whole(frame->cy + far * frame->sine[line] + 0.5, 0, frame->picture.height - 1);
-    return (y << PACKED) + x;
+    const int64_t* const way = frame->ways + 4 * line;
+    const uint64_t n = (uint64_t)(frame->first + i);
+    const int64_t margin = frame->mosaic ? 1 : 0, w = frame->picture.width, h = frame->picture.height;
+    *x = (int64_t)((uint64_t)way[0] + n * (uint64_t)way[2]) >> POINT;
+    *y = (int64_t)((uint64_t)way[1] + n * (uint64_t)way[3]) >> POINT;
+    if (((uint64_t)(*x - margin) >= (uint64_t)(w - 2 * margin)) |
+        ((uint64_t)(*y - margin) >= (uint64_t)(h - 2 * margin))) {
+        *x = bounded(*x, margin, w - 1 - margin);
+        *y = bounded(*y, margin, h - 1 - margin);
+    }
+    return *y * w + *x;
 }
 
 // Samples a, a + 2, .. to b of a line: half of them its own, the rest of its two neighbours.
@@ -40,49 +58,134 @@ INLINE void run_of(const int32_t sample[5], const int part, int64_t* const a, in
     *b = part == 0 ? *a + 2 : most(*a, part == 1 ? sample[2] : sample[4]);
 }
 
-// Addresses of a slit's pixels, as many as there is room for, and the memory asked for.
-static void fetch(const frame_t* const frame, const int64_t line, const int32_t sample[5], int64_t places[PLACES])
+// The pixels of one run, as many as there is room for, and the memory asked for.
+INLINE void fetch_run(const frame_t* const frame, const int64_t line, const int32_t sample[5], const int part,
+                      const int64_t start, const int64_t size, places_t* const places)
 {
-    int64_t n = 0;
-    for (int part = 0; part < 3; part++) {
-        int64_t a, b;
-        run_of(sample, part, &a, &b);
-        for (int64_t i = a; i <= b && n < PLACES; i += 2) {
-            const int64_t at = place_of(frame, line_of(line, i - a, frame->lines), i);
-            const int64_t y = at >> PACKED, x = at & ((1 << PACKED) - 1);
-            __builtin_prefetch(frame->picture.data + frame->bytes * (y * frame->picture.width + x));
-            places[n++] = at;
+    const int64_t bytes = frame->mosaic ? 1 : IN_COLOURS, phase = frame->picture.phase;
+    int64_t a, b;
+    run_of(sample, part, &a, &b);
+    for (int64_t n = 0; n < size; n++) {
+        int64_t x, y;
+        const int64_t at = place_of(frame, line_of(line, 2 * n, frame->lines), a + 2 * n, &x, &y);
+        const uint8_t* const pixel = frame->picture.data + bytes * at;
+        __builtin_prefetch(pixel);
+        places->pixel[start + n] = frame->mosaic || a + 2 * n <= b ? pixel : BLACK;
+        if (frame->mosaic) {
+            places->there[start + n] = a + 2 * n <= b ? ~0u : 0u;
+            places->column[start + n] = (uint32_t)((x ^ phase) & 1) - 1u;
+            places->row[start + n] = (uint32_t)((y ^ (phase >> 1)) & 1) - 1u;
         }
     }
 }
 
-INLINE void light_of(const frame_t* const frame, const int64_t* const direction, const int32_t* const samples,
-                     const int64_t slits, double* const light, double* const bright, const int64_t n, const bool mosaic)
+INLINE void fetch(const frame_t* const frame, const int64_t direction, const int32_t sample[5], places_t* const places)
 {
-    int64_t places[AHEAD][PLACES];
+    const int64_t line = bounded(direction, 0, frame->lines - 1);
+    fetch_run(frame, line, sample, 0, 0, BOTTOM, places);
+    fetch_run(frame, line, sample, 1, BOTTOM, STRIPE, places);
+    fetch_run(frame, line, sample, 2, BOTTOM + STRIPE, STRIPE, places);
+}
+
+INLINE uint32_t four_at(const uint8_t* const at)
+{
+    uint32_t four;
+    memcpy(&four, at, sizeof four);
+    return four;
+}
+
+// The colours of all places of a mosaic as `pixel_of` has them, side by side, 0 of those that do not count: blue and
+// 2^16 red, and green. Four bytes are read of each row: of the one below from one
+// further left on, so that none is beyond the mosaic.
+INLINE void read_cells(const picture_t* const picture, const places_t* const places, uint32_t blue_red[PLACES],
+                       uint32_t greens[PLACES])
+{
+    const int64_t w = picture->width;
+    uint32_t up[PLACES], own[PLACES], down[PLACES];
+    for (int64_t k = 0; k < PLACES; k++) {
+        const uint8_t* const at = places->pixel[k];
+        up[k] = four_at(at - w - 1);
+        own[k] = four_at(at - 1);
+        down[k] = four_at(at + w - 2);
+    }
+    for (int64_t k = 0; k < PLACES; k++) {
+        const uint32_t left = own[k] & 255, here = own[k] >> 8 & 255, right = own[k] >> 16 & 255;
+        const uint32_t above = up[k] >> 8 & 255, below = down[k] >> 16 & 255;
+        const uint32_t corners = (up[k] & 255) + (up[k] >> 16 & 255) + (down[k] >> 8 & 255) + (down[k] >> 24);
+        const uint32_t across = (left + right + 1) >> 1, along = (above + below + 1) >> 1;
+        const uint32_t cross = (left + right + above + below + 2) >> 2, askew = (corners + 2) >> 2;
+        const uint32_t c = places->column[k], r = places->row[k];
+        const uint32_t own_colour = (c & here) | (~c & across), other = (c & along) | (~c & askew);
+        const uint32_t of_blue_row = (c & across) | (~c & here), of_red_row = (c & askew) | (~c & along);
+        const uint32_t blue = (r & of_red_row) | (~r & of_blue_row), red = (r & own_colour) | (~r & other);
+        blue_red[k] = (blue | red << 16) & places->there[k];
+        greens[k] = ((~(r ^ c) & cross) | ((r ^ c) & here)) & places->there[k];
+    }
+}
+
+// Of stripes wider than there are places for, pixel by pixel.
+static void sum_of_run(const frame_t* const frame, const int64_t line, const int64_t a, const int64_t b,
+                       uint32_t sum[3])
+{
+    sum[0] = sum[1] = sum[2] = 0;
+    for (int64_t i = a; i <= b; i += 2) {
+        int64_t x, y;
+        place_of(frame, line_of(line, i - a, frame->lines), i, &x, &y);
+        const pixel_t own = pixel_of(&frame->picture, x, y, frame->mosaic);
+        sum[0] += own.blue;
+        sum[1] += own.green;
+        sum[2] += own.red;
+    }
+}
+
+INLINE void light_of(const frame_t* const frame, const int64_t* const direction, const int32_t* const samples,
+                     const int64_t slits, double* const light, double* const bright, const int64_t n)
+{
+    static const int64_t STARTS[4] = {0, BOTTOM, BOTTOM + STRIPE, PLACES};
+    places_t places[AHEAD];
+    uint32_t blue_red[PLACES], greens[PLACES];
+    double scales[STRIPE + 1];
+    for (int64_t k = 1; k <= STRIPE; k++) {
+        scales[k] = (double)(float)(1.0 / (double)k);
+    }
     for (int64_t s = 0; s < least(AHEAD, slits); s++) {
-        fetch(frame, bounded(direction[s], 0, frame->lines - 1), samples + 5 * s, places[s]);
+        fetch(frame, direction[s], samples + 5 * s, places + s);
     }
     for (int64_t s = 0; s < slits; s++) {
-        const int64_t line = bounded(direction[s], 0, frame->lines - 1);
-        const int64_t* const known = places[s & (AHEAD - 1)];
+        const places_t* const known = places + (s & (AHEAD - 1));
+        if (frame->mosaic) {
+            read_cells(&frame->picture, known, blue_red, greens);
+        }
         double dark[3] = {0.0, 0.0, 0.0};
         double strongest[2] = {0.0, 0.0};
-        int64_t k = 0;
         for (int part = 0; part < 3; part++) {
             int64_t a, b;
-            int32_t sum[3] = {0, 0, 0};
             run_of(samples + 5 * s, part, &a, &b);
-            for (int64_t i = a; i <= b; i += 2, k++) {
-                const int64_t at = k < PLACES ? known[k] : place_of(frame, line_of(line, i - a, frame->lines), i);
-                const pixel_t own = pixel_of(&frame->picture, at & ((1 << PACKED) - 1), at >> PACKED, mosaic);
-                sum[0] += own.blue;
-                sum[1] += own.green;
-                sum[2] += own.red;
+            const int64_t size = (b - a) / 2 + 1;
+            uint32_t sum[3];
+            double scale;
+            if (size <= STRIPE) {
+                uint32_t both = 0, green = 0;
+                for (int64_t k = STARTS[part]; k < STARTS[part + 1]; k++) {
+                    if (frame->mosaic) {
+                        both += blue_red[k];
+                        green += greens[k];
+                    } else {
+                        const uint8_t* const at = known->pixel[k];
+                        both += at[0] + ((uint32_t)at[2] << 16);
+                        green += at[1];
+                    }
+                }
+                sum[0] = both & 65535;
+                sum[1] = green;
+                sum[2] = both >> 16;
+                scale = scales[size];
+            } else {
+                sum_of_run(frame, bounded(direction[s], 0, frame->lines - 1), a, b, sum);
+                scale = (double)(float)(1.0 / (double)size);
             }
-            const double scale = (double)(float)(1.0 / (double)((b - a) / 2 + 1));
             for (int channel = 0; channel < 3; channel++) {
-                const double mean = (double)sum[channel] * scale;
+                const double mean = (double)(int32_t)sum[channel] * scale;
                 if (part == 0) {
                     dark[channel] = mean;
                 } else {
@@ -94,24 +197,23 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
         }
         bright[s] = strongest[0] + strongest[1];
         if (s + AHEAD < slits) {
-            fetch(frame, bounded(direction[s + AHEAD], 0, frame->lines - 1), samples + 5 * (s + AHEAD),
-                  places[s & (AHEAD - 1)]);
+            fetch(frame, direction[s + AHEAD], samples + 5 * (s + AHEAD), places + (s & (AHEAD - 1)));
         }
     }
 }
 
 // light (6, n): blue, green, red of the stripe inside, then of that outside, of the first `size` slits; bright (n,):
-// the strongest of either, together.
-DOOR void rings_light(const uint8_t* const image, const int64_t phase, const double cx, const double cy,
-                      const double first, const double step, const double* const cosine, const double* const sine,
-                      const int64_t* const direction, const int32_t* const samples, const int64_t size,
-                      double* const light, double* const bright, const int64_t h, const int64_t w, const int64_t b,
-                      const int64_t j, const int64_t n)
+// the strongest of either, together. ways (j, 4): x and y of a line's sample 0 and its step, with a half, times 2^32;
+// first: of the samples that slits are counted from.
+void rings_light(const picture_t* const picture, const bool mosaic, const int64_t* const ways, const int64_t lines,
+                 const int64_t first, const int64_t* const direction, const int32_t* const samples, const int64_t size,
+                 double* const light, double* const bright, const int64_t n)
 {
-    const frame_t frame = {{image, w, h, phase}, j, b, cx, cy, first, step, cosine, sine};
-    if (b == IN_COLOURS) {
-        light_of(&frame, direction, samples, least(size, n), light, bright, n, false);
+    if (mosaic) {
+        const frame_t frame = {*picture, lines, first, ways, true};
+        light_of(&frame, direction, samples, least(size, n), light, bright, n);
     } else {
-        light_of(&frame, direction, samples, least(size, n), light, bright, n, true);
+        const frame_t frame = {*picture, lines, first, ways, false};
+        light_of(&frame, direction, samples, least(size, n), light, bright, n);
     }
 }

@@ -196,8 +196,7 @@ DOOR void rings_usual_widths(const int64_t* const ring, const double* const widt
         }
         out[r] = 0.0;
         if (members >= most(fewest, 1)) {
-            const double upper = ranked(work, members, members / 2);
-            out[r] = members % 2 ? upper : 0.5 * (upper + ranked(work, members, members / 2 - 1));
+            out[r] = halfway(work, members);
         }
     }
 }

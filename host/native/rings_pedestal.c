@@ -7,7 +7,6 @@
 #include "rings_picture.h"
 
 #define LEVELS 256
-#define AHEAD 8  // pixels looked at, that are fetched ahead: they are far apart
 
 // The quantile of what was counted by level, linear between two ranks; 0 of nothing.
 static double quantile(const int64_t counted[LEVELS], const double part)
@@ -70,10 +69,14 @@ DOOR int64_t rings_pedestal(const uint8_t* const image, const int64_t phase, con
     int64_t counted[LEVELS];
     memset(counted, 0, sizeof counted);
     for (int64_t y = 0; y < a; y++) {
-        const int64_t row = least(y * step + step / 4, h - 1);
+        const int64_t row = least(y * step + step / 4, h - 1), next = least(row + step, h - 1);
         for (int64_t x = 0; x < b; x++) {
-            const int64_t column = least(x * step + step / 4, w - 1), next = least(column + AHEAD * step, w - 1);
-            __builtin_prefetch(image + c * (row * w + next));
+            const int64_t column = least(x * step + step / 4, w - 1);
+            __builtin_prefetch(image + c * (next * w + column));  // places are far apart
+            if (c != IN_COLOURS) {
+                __builtin_prefetch(image + most(next - 1, 0) * w + column);
+                __builtin_prefetch(image + least(next + 1, h - 1) * w + column);
+            }
             const pixel_t own = pixel_of(&picture, column, row, c != IN_COLOURS);
             const uint8_t top = own.blue > own.green ? own.blue : own.green;
             strongest[y * b + x] = top > own.red ? top : own.red;

@@ -5,14 +5,15 @@
 #include <string.h>
 
 #include "native.h"
-#include "rings_picture.h"
+#include "rings_frame.h"
 
 typedef uint8_t bytes_t __attribute__((vector_size(16), aligned(1), may_alias));
 
 #define PROBE_LEVELS 256
-#define AHEAD 64      // bytes of a cache line
-#define CELLS 64      // of a mosaic that are worked on side by side; even
-#define ROWS_AHEAD 2  // that are fetched while one is worked on
+#define AHEAD 64           // bytes of a cache line
+#define CELLS 64           // of a mosaic that are worked on side by side; even
+#define ROWS_AHEAD 8       // that are fetched while one is worked on ..
+#define CELL_ROWS_AHEAD 2  // .. and of a mosaic, whose rows are a third as long
 
 // The level below or at which that part of what was counted lies.
 static int64_t rank_of(const int64_t counted[PROBE_LEVELS], const double part)
@@ -30,31 +31,41 @@ static int64_t rank_of(const int64_t counted[PROBE_LEVELS], const double part)
     return level;
 }
 
-// What a coarse look at the frame says: levels of black (3,), gains in 1/64 (3,), and the samples from where to where
-// there is light (2,). A slit has light on both sides, so there is none outside. every: lines, px: samples, between the
-// places looked at. limits: (5,) the part of the bright level that is light, samples kept around it, how many times
-// weaker a channel is raised and by how much at most, and the least samples of a line.
-DOOR void rings_look(const uint8_t* const image, const int64_t phase, const uint32_t* const address,
-                     const int64_t* const stop, const int64_t every, const int64_t px, const double* const limits,
-                     uint8_t* const seen, int32_t* const black, int32_t* const gain, int64_t* const range,
-                     const int64_t h, const int64_t w, const int64_t b, const int64_t l, const int64_t n,
-                     const int64_t j, const int64_t s)
+// A slit has light on both sides, so there is none outside of look.range. every: lines, px: samples, between the places
+// looked at. limits: (5,) the part of the bright level that is light, samples kept around it, how many times weaker a
+// channel is raised and by how much at most, and the least samples of a line. seen (room,): to work in.
+void rings_look(const picture_t* const picture, const bool mosaic, const lines_t* const all, const int64_t every,
+                const int64_t px, const double* const limits, uint8_t* const seen, const int64_t room,
+                const look_t* const look)
 {
-    const int64_t lines = (j + every - 1) / every;
-    const picture_t picture = {image, w, h, phase};
+    const uint8_t* const image = picture->data;
+    const int64_t h = picture->height, w = picture->width, n = all->length, b = mosaic ? 1 : IN_COLOURS;
+    const int64_t* const stop = all->stop;
+    int32_t* const black = look->black;
+    int32_t* const gain = look->gain;
+    const int64_t lines = (all->lines + every - 1) / every;
     int64_t counted[3][PROBE_LEVELS];
     memset(counted, 0, sizeof counted);
     uint8_t* place = seen;
     for (int64_t line = 0; line < lines; line++) {
-        const uint32_t* const along = address + (line * every + 1) * n;
+        const uint32_t* const along = all->address + (line * every + 1) * n;
         const int64_t looks = (least(stop[line * every], n) + px - 1) / px;
+        // those of the next line are asked for before: each place is far from all others
+        const uint32_t* const next = along + (line + 1 < lines ? every * n : 0);
         for (int64_t k = 0; k < looks; k++) {
+            __builtin_prefetch(image + b * (int64_t)next[k * px]);
+            if (mosaic) {
+                __builtin_prefetch(image + (int64_t)next[k * px] - w);
+                __builtin_prefetch(image + (int64_t)next[k * px] + w);
+            }
             const int64_t at = along[k * px];
-            const pixel_t own = at < h * w ? pixel_of(&picture, at % w, at / w, b != IN_COLOURS) : (pixel_t){0, 0, 0};
+            const pixel_t own = at < h * w ? pixel_of(picture, (int64_t)((uint32_t)at % (uint32_t)w),
+                                                      (int64_t)((uint32_t)at / (uint32_t)w), mosaic)
+                                           : (pixel_t){0, 0, 0};
             counted[0][own.blue]++;
             counted[1][own.green]++;
             counted[2][own.red]++;
-            if (place + 3 <= seen + s) {
+            if (place + 3 <= seen + room) {
                 *place++ = own.blue;
                 *place++ = own.green;
                 *place++ = own.red;
@@ -97,14 +108,14 @@ DOOR void rings_look(const uint8_t* const image, const int64_t phase, const uint
         }
     }
     const int64_t margin = (int64_t)limits[1], shortest = (int64_t)limits[4];
-    range[0] = most(least(first - margin, n - shortest), 0);
-    range[1] = least(most(least(last + margin, n), range[0] + shortest), n);
-    (void)l;
+    look->range[0] = most(least(first - margin, n - shortest), 0);
+    look->range[1] = least(most(least(last + margin, n), look->range[0] + shortest), n);
 }
 
 // max(B, G, R) of size pixels. Each load is of 16 neighbouring bytes, the greatest of three such loads a byte apart has
-// every third byte right; three of those are 16 pixels. The last few are taken one by one.
-static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
+// every third byte right; three of those are 16 pixels. The last few are taken one by one. ahead: to the bytes that are
+// fetched, for later, into the second cache: the first has too few places to wait in.
+static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size, const int64_t ahead)
 {
     static const bytes_t FIRST = {0, 3, 6, 9, 12, 15, 16, 16, 16, 16, 16, 16, 16, 16, 16, 16};
     static const bytes_t SECOND = {16, 16, 16, 16, 16, 16, 2, 5, 8, 11, 14, 16, 16, 16, 16, 16};
@@ -113,6 +124,7 @@ static void greatest_of(const uint8_t* source, uint8_t* out, const int64_t size)
     int64_t x = 0;
     for (; x + 17 <= size; x += 16, source += 48, out += 16) {  // one more: the last load is two bytes beyond
         uint8_t top[48];
+        __builtin_prefetch(source + ahead, 0, 2);
         for (int k = 0; k < 48; k++) {
             const uint8_t a = source[k], b = source[k + 1], c = source[k + 2];
             const uint8_t ab = a > b ? a : b;
@@ -191,15 +203,16 @@ static void raised_of(const picture_t* const picture, const int64_t x, const int
     }
 }
 
-// The strongest channel of the pixels between two circles, px, about (cx, cy). plane: (h * w + tail,), of which the
-// tail stays 0 for places outside of the image.
-DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const double cx, const double cy,
-                          const double inner, const double outer, const int32_t* const black, const int32_t* const gain,
-                          uint8_t* const plane, const int64_t h, const int64_t w, const int64_t b, const int64_t p)
+// The strongest channel of the pixels between two circles, px, about (cx, cy). plane (room,): h * w and a tail, which
+// stays 0 for places outside of the image.
+void rings_strongest(const picture_t* const picture, const bool mosaic, const double cx, const double cy,
+                     const double inner, const double outer, const look_t* const look, uint8_t* const plane,
+                     const int64_t room)
 {
-    const picture_t picture = {image, w, h, phase};
-    const bool raised = gain[0] != 64 || gain[1] != 64 || gain[2] != 64, mosaic = b != IN_COLOURS;
-    for (int64_t y = 0; y < h && (y + 1) * w <= p; y++) {
+    const int64_t h = picture->height, w = picture->width, b = mosaic ? 1 : IN_COLOURS;
+    const int32_t* const gain = look->gain;
+    const bool raised = gain[0] != 64 || gain[1] != 64 || gain[2] != 64;
+    for (int64_t y = 0; y < h && (y + 1) * w <= room; y++) {
         const double up = (double)y - cy, far = outer * outer - up * up;
         if (far <= 0.0) {
             continue;
@@ -212,19 +225,19 @@ DOOR void rings_strongest(const uint8_t* const image, const int64_t phase, const
             if (to <= from) {
                 continue;
             }
-            const uint8_t* const source = image + b * (y * w + from);
-            if (y + ROWS_AHEAD < h) {
-                for (int64_t k = 0; k < b * (to - from); k += AHEAD) {
-                    __builtin_prefetch(source + ROWS_AHEAD * b * w + k);
+            const uint8_t* const source = picture->data + b * (y * w + from);
+            if (mosaic && y + CELL_ROWS_AHEAD < h) {
+                for (int64_t k = 0; k < to - from; k += AHEAD) {
+                    __builtin_prefetch(source + CELL_ROWS_AHEAD * w + k);
                 }
             }
             uint8_t* const out = plane + y * w + from;
             if (raised) {
-                raised_of(&picture, from, y, mosaic, out, to - from, black, gain);
+                raised_of(picture, from, y, mosaic, out, to - from, look->black, gain);
             } else if (!mosaic) {
-                greatest_of(source, out, to - from);
+                greatest_of(source, out, to - from, y + ROWS_AHEAD < h ? ROWS_AHEAD * b * w : 0);
             } else {
-                strongest_cells(&picture, from, to, y, plane + y * w);
+                strongest_cells(picture, from, to, y, plane + y * w);
             }
         }
     }

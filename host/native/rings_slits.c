@@ -5,9 +5,11 @@
 #include <string.h>
 
 #include "native.h"
+#include "rings_frame.h"
 #include "selection.h"
 
 #define SLITS_MOST 48  // of one line: room for the turning points of a line on the stack; rings.slits passes PER_LINE
+#define MASKED 128     // samples of which every other one is a bit
 #define MARGIN 5       // samples at both ends of a line that nothing is looked for in
 
 // What rings.slits passes as `limits`, in this order; units and reasons stand there.
@@ -83,6 +85,22 @@ static void smoothed(const uint8_t* const bright, const int64_t length, const fl
     }
 }
 
+// Every other of `size` bytes that are 0 or 1, as bits: whoever walks along them guesses where they end four times a
+// line, not at every few samples.
+INLINE uint64_t mask_of(const uint8_t* const turning, const int64_t size)
+{
+    uint64_t mask = 0;
+    for (int64_t at = 0; at < size; at += 8) {
+        uint64_t eight = 0;
+        memcpy(&eight, turning + at, 8);
+        if (size - at < 8) {
+            eight &= (1ull << (8 * (size - at))) - 1;
+        }
+        mask |= ((eight & 0x0001000100010001u) * 0x0001000200040008u >> 48 & 15) << (at / 2);
+    }
+    return mask;
+}
+
 // Alternating tops and bottoms of a line: high[k] low[k] high[k + 1]; one is confirmed when the next has clearly begun.
 // Every other sample will do: the line is smooth, and edges are looked for between tops and bottoms sample by sample.
 // turning: room to work in. Returns how many bottoms; *crowded counts lines with more than there is room for.
@@ -103,13 +121,11 @@ static int64_t turning_points(const line_t* const line, const int64_t per_line, 
     int64_t k = 0, best = MARGIN;
     bool rising = true;
     float value = smooth[best];
-    for (int64_t start = 7; start < line->length - MARGIN; start += 8) {
-        uint64_t eight = 0;
-        memcpy(&eight, turning + start, (size_t)least(8, line->length - MARGIN - start));
-        eight &= 0x0001000100010001u;  // every other one; a byte is 0 or 1
-        while (eight != 0) {
-            const int64_t i = start + (__builtin_ctzll(eight) >> 3);
-            eight &= eight - 1;
+    for (int64_t start = 7; start < line->length - MARGIN; start += MASKED) {
+        uint64_t mask = mask_of(turning + start, least(MASKED, line->length - MARGIN - start));
+        while (mask != 0) {
+            const int64_t i = start + 2 * __builtin_ctzll(mask);
+            mask &= mask - 1;
             const float s = smooth[i];
             if (rising) {
                 if (s > value) {
@@ -162,18 +178,23 @@ static int64_t edge_from(const line_t* const line, const int64_t bottom, const i
     return edge;
 }
 
-// Every slit's line; its place and width, samples; its edges' blur; how dark it is, a part; samples (5,): its bottom,
-// the first and last of the stripe inside and of that outside. Sorted by line, then outwards. work (3 m + 8), marks (m
-// + 8). counts (2,): slits, and lines that had more than per_line.
-DOOR void rings_scan(const uint8_t* const top, const int64_t* const stop, const int64_t first_sample, const int64_t m,
-                     const float* const taps, const float* const limits, const int64_t per_line, const int64_t clear,
-                     const int64_t beside, float* const work, uint8_t* const marks, int64_t* const direction,
-                     double* const place, double* const width, double* const blur, float* const depth,
-                     int32_t* const samples, int64_t* const counts, const int64_t t, const int64_t j, const int64_t r,
-                     const int64_t q, const int64_t n)
+// Slits, as many as there is room for: `rings_find` says what of.
+typedef struct {
+    int64_t* direction;
+    double *place, *width, *blur;
+    float* depth;
+    int32_t* samples;  // (room, 5)
+    int64_t size, room, crowded;
+} slits_t;
+
+// From line to line, outwards. work (3 room + 8), marks (room + 8): as many samples as a line may have.
+static void scan(const uint8_t* const top, const int64_t* const stop, const int64_t first_sample, const int64_t m,
+                 const float* const taps, const float* const limits, const int64_t per_line, const int64_t clear,
+                 const int64_t beside, float* const work, uint8_t* const marks, const int64_t room, const int64_t t,
+                 const int64_t j, slits_t* const slits)
 {
     int64_t low[SLITS_MOST + 1], high[SLITS_MOST + 2];
-    const int64_t kept = least(per_line, SLITS_MOST), room = least((r - 8) / 3, q - 8);
+    const int64_t kept = least(per_line, SLITS_MOST), n = slits->room;
     float* const light = work;
     float* const smooth = work + room;
     float* const slope = work + 2 * room;
@@ -215,14 +236,14 @@ DOOR void rings_scan(const uint8_t* const top, const int64_t* const stop, const 
             const float inside = mean_of(&line, p0, p1), outside = mean_of(&line, p2, p3);
             const float stripe = held_f(inside < outside ? inside : outside, 1.0f, 1e6f);
             const float part = dark / stripe;
-            direction[size] = line_no;
-            place[size] = (double)(0.5f * (left + right));
-            width[size] = (double)(right - left);
-            depth[size] = 1.0f - (part < 1.0f ? part : 1.0f);
+            slits->direction[size] = line_no;
+            slits->place[size] = (double)(0.5f * (left + right));
+            slits->width[size] = (double)(right - left);
+            slits->depth[size] = 1.0f - (part < 1.0f ? part : 1.0f);
             const float fall_square = fall_bend * fall_bend, rise_square = rise_bend * rise_bend;
-            blur[size] = (double)sqrtf(1.0f / (fall_square > 1e-6f ? fall_square : 1e-6f) +
-                                       1.0f / (rise_square > 1e-6f ? rise_square : 1e-6f));
-            int32_t* const sample = samples + 5 * size;
+            slits->blur[size] = (double)sqrtf(1.0f / (fall_square > 1e-6f ? fall_square : 1e-6f) +
+                                              1.0f / (rise_square > 1e-6f ? rise_square : 1e-6f));
+            int32_t* const sample = slits->samples + 5 * size;
             sample[0] = (int32_t)bottom;
             sample[1] = (int32_t)p0;
             sample[2] = (int32_t)p1;
@@ -231,30 +252,54 @@ DOOR void rings_scan(const uint8_t* const top, const int64_t* const stop, const 
             size++;
         }
     }
-    counts[0] = size;
-    counts[1] = crowded;
+    slits->size = size;
+    slits->crowded = crowded;
 }
 
-// Leaves out slits that are not at least a part as deep as the usual one; returns how many stay. work (n,).
-DOOR int64_t rings_dark_ones(const float shallow, const int64_t size, float* const work, int64_t* const direction,
-                             double* const place, double* const width, double* const blur, float* const depth,
-                             int32_t* const samples, const int64_t n)
+// Leaves out slits that are not at least a part as deep as the usual one, and counts places from sample `first` on.
+// work (size,).
+static void dark_ones(const float shallow, const int64_t first, float* const work, slits_t* const slits)
 {
-    const int64_t there = least(size, n);
-    memcpy(work, depth, (size_t)there * sizeof *work);
-    const float limit = shallow * middle_f(work, there);
+    memcpy(work, slits->depth, (size_t)slits->size * sizeof *work);
+    const float limit = shallow * middle_f(work, slits->size);
     int64_t kept = 0;
-    for (int64_t s = 0; s < there; s++) {
-        if (!(depth[s] >= limit)) {
+    for (int64_t s = 0; s < slits->size; s++) {
+        if (!(slits->depth[s] >= limit)) {
             continue;
         }
-        direction[kept] = direction[s];
-        place[kept] = place[s];
-        width[kept] = width[s];
-        blur[kept] = blur[s];
-        depth[kept] = depth[s];
-        memmove(samples + 5 * kept, samples + 5 * s, 5 * sizeof *samples);
+        slits->direction[kept] = slits->direction[s];
+        slits->place[kept] = slits->place[s] + (double)first;
+        slits->width[kept] = slits->width[s];
+        slits->blur[kept] = slits->blur[s];
+        slits->depth[kept] = slits->depth[s];
+        memmove(slits->samples + 5 * kept, slits->samples + 5 * s, 5 * sizeof *slits->samples);
         kept++;
     }
-    return kept;
+    slits->size = kept;
+}
+
+// Every slit's line; its place and width, samples; its edges' blur; how dark it is, a part; samples (n, 5): its bottom,
+// the first and last of the stripe inside and of that outside, from `first` on, the sample that the rows of top (t,)
+// begin with, m in each; light (6, n) and bright (n,): see `rings_light`. Sorted by line, then outwards. work (3 m +
+// 8), marks (m + 8), depths (n,): room to work in. counts (3,): slits; how many more were not dark enough; lines that
+// had more than per_line.
+DOOR void rings_find(const uint8_t* const image, const int64_t phase, const uint8_t* const top,
+                     const int64_t* const stop, const int64_t first, const int64_t m, const float* const taps,
+                     const float* const limits, const int64_t per_line, const int64_t clear, const int64_t beside,
+                     const float shallow, const int64_t* const ways, float* const work, uint8_t* const marks,
+                     float* const depths, int64_t* const direction, double* const place, double* const width,
+                     double* const blur, float* const depth, int32_t* const samples, double* const light,
+                     double* const bright, int64_t* const counts, const int64_t h, const int64_t w, const int64_t b,
+                     const int64_t t, const int64_t j, const int64_t r, const int64_t q, const int64_t n)
+{
+    slits_t slits = {direction, place, width, blur, depth, samples, 0, n, 0};
+    scan(top, stop, first, m, taps, limits, per_line, clear, beside, work, marks, least((r - 8) / 3, q - 8), t, j,
+         &slits);
+    const int64_t every = slits.size;
+    dark_ones(shallow, first, depths, &slits);
+    const picture_t picture = {image, w, h, phase};
+    rings_light(&picture, b != IN_COLOURS, ways, j, first, direction, samples, slits.size, light, bright, n);
+    counts[0] = slits.size;
+    counts[1] = every - slits.size;
+    counts[2] = slits.crowded;
 }

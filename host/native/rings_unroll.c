@@ -5,8 +5,10 @@
 #include <string.h>
 
 #include "native.h"
+#include "rings_frame.h"
 
-#define BLOCK 64  // samples fetched one by one, then weighed together
+#define BLOCK 64    // samples fetched one by one, then weighed together
+#define BESIDE 3.0  // px around the samples that are looked at: what is between pixels is made of those beside it
 
 // Bilinear samples of one line: address of the upper left pixel, and in part 32 fy + fx, 1/32 px.
 static void sample(const uint8_t* const plane, const int64_t w, const uint32_t* const address,
@@ -29,15 +31,14 @@ static void sample(const uint8_t* const plane, const int64_t w, const uint32_t* 
     }
 }
 
-// top (t,), rows of m: samples a .. a + m of every line, averaged with its two neighbours, weights 1, 2, 1. address,
-// part (i, n): two more lines, since they begin with the last one and end with the first. rows (3, n): room to work in.
-DOOR void rings_unroll(const uint8_t* const plane, const int64_t w, const uint32_t* const address,
-                       const uint16_t* const part, const int64_t a, const int64_t m, uint8_t* const rows,
-                       uint8_t* const top, const int64_t p, const int64_t i, const int64_t n, const int64_t t)
+// top (t,), rows of m: samples a .. a + m of every line, averaged with its two neighbours, weights 1, 2, 1. rows (3,
+// length): room to work in.
+static void unrolled(const uint8_t* const plane, const int64_t w, const lines_t* const lines, const int64_t a,
+                     const int64_t m, uint8_t* const rows, uint8_t* const top, const int64_t t)
 {
-    const int64_t size = least(m, n - a);
-    for (int64_t line = 0; line < i && (line - 1) * m <= t; line++) {
-        sample(plane, w, address + line * n + a, part + line * n + a, size, rows + (line % 3) * n);
+    const int64_t n = lines->length, size = least(m, n - a);
+    for (int64_t line = 0; line < lines->lines + 2 && (line - 1) * m <= t; line++) {
+        sample(plane, w, lines->address + line * n + a, lines->part + line * n + a, size, rows + (line % 3) * n);
         if (line < 2) {
             continue;
         }
@@ -50,7 +51,6 @@ DOOR void rings_unroll(const uint8_t* const plane, const int64_t w, const uint32
         }
         memset(out + size, 0, (size_t)(m - size));
     }
-    (void)p;
 }
 
 static int64_t rank_of(const int64_t counted[256], const double part)
@@ -71,8 +71,8 @@ static int64_t rank_of(const int64_t counted[256], const double part)
 // The frame's bright level and noise in grey levels, out (2,), from every 24th line and every third sample along it.
 // top as above; stop (j,): the grid's, from its own first sample on. sigma_of_mad: standard deviation of normal errors
 // over the median of their sizes.
-DOOR void rings_level(const uint8_t* const top, const int64_t* const stop, const int64_t a, const int64_t m,
-                      const double sigma_of_mad, double* const out, const int64_t t, const int64_t j)
+static void level(const uint8_t* const top, const int64_t* const stop, const int64_t a, const int64_t m,
+                  const double sigma_of_mad, double* const out, const int64_t t, const int64_t j)
 {
     int64_t levels[256], steps[256];
     memset(levels, 0, sizeof levels);
@@ -109,6 +109,31 @@ DOOR void rings_level(const uint8_t* const top, const int64_t* const stop, const
     const double median = (double)at - 0.5 + (0.5 * (double)all - (double)below) / (double)steps[at];
     out[0] = (double)rank_of(levels, 0.95);
     out[1] = sigma_of_mad / sqrt(2.0) * (median > 0.0 ? median : 0.0);
+}
+
+// A frame along a grid's lines: top (t,), rows of as many samples as there are in `range` (2,), from one to the other;
+// levels (2,): how bright the frame is, and its noise. address, part (i, n): two more lines than stop (j,), since they
+// begin with the last one and end with the first. first, step, px: of a line's samples about the centre (cx, cy). every
+// .. seen, black, gain, range: see `rings_look`; plane: see `rings_strongest`; rows: room to work in.
+DOOR void rings_lay_out(const uint8_t* const image, const int64_t phase, const uint32_t* const address,
+                        const uint16_t* const part, const int64_t* const stop, const double cx, const double cy,
+                        const double first, const double step, const int64_t every, const int64_t px,
+                        const double* const limits, const double sigma_of_mad, uint8_t* const seen,
+                        int32_t* const black, int32_t* const gain, int64_t* const range, uint8_t* const plane,
+                        uint8_t* const rows, uint8_t* const top, double* const levels, const int64_t h, const int64_t w,
+                        const int64_t b, const int64_t i, const int64_t n, const int64_t j, const int64_t s,
+                        const int64_t p, const int64_t t)
+{
+    const picture_t picture = {image, w, h, phase};
+    const bool mosaic = b != IN_COLOURS;
+    const lines_t lines = {address, part, stop, least(j, i - 2), n};
+    const look_t look = {black, gain, range};
+    rings_look(&picture, mosaic, &lines, every, px, limits, seen, s, &look);
+    const double one = first + step * (double)range[0], other = first + step * (double)range[1];
+    const double inner = (one < other ? one : other) - BESIDE, outer = (one < other ? other : one) + BESIDE;
+    rings_strongest(&picture, mosaic, cx, cy, inner, outer, &look, plane, p);
+    unrolled(plane, w, &lines, range[0], range[1] - range[0], rows, top, t);
+    level(top, stop, range[0], range[1] - range[0], sigma_of_mad, levels, t, j);
 }
 
 // The lines alone, not averaged: out (i, n).

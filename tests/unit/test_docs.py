@@ -1,5 +1,6 @@
 """The manual keeps its promises: every error has a family, every key and topic its line, every example can be typed."""
 
+import importlib
 import re
 import shlex
 import tomllib
@@ -144,6 +145,15 @@ def test_commands_named_in_passing_exist() -> None:
             command = known[" ".join(parts)]
             unknown = commands.is_group(command) and len(words.split()) > len(parts)
             assert words in ("annulus COMMAND --help",) or (len(parts) > 1 and not unknown), (page, words)
+
+
+def test_doors_that_the_manual_names_are_there() -> None:
+    page = (DOCS / "manual/python.md").read_text()
+    named = re.findall(r"^\.\. auto(?:class|function):: (\S+)\.(\w+)$", page, re.M)
+    imported = re.findall(r"^from (annulus_pipe\S*) import (\w+)$", page, re.M)
+    assert len(named) > 15 and imported
+    for module, name in named + imported:
+        assert callable(getattr(importlib.import_module(module), name, None)), f"{module}.{name}"
 
 
 def test_the_citation_has_what_its_form_needs_and_this_version() -> None:

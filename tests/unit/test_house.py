@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import tomllib
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,11 @@ SOURCES = (".py", ".c", ".h", ".mjs")
 def sources() -> list[Path]:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     return [ROOT / name for name in listed if name.endswith(SOURCES) and (ROOT / name).is_file()]
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def is_generated(text: str) -> bool:
@@ -50,7 +56,7 @@ def test_no_function_takes_more_than_can_be_told_apart() -> None:
     for path in sorted(ROOMS.rglob("*.py")):
         if path.is_relative_to(ROOMS / "cli") or path.name.endswith("commands.py"):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 count = len(node.args.posonlyargs) + len(node.args.args)
                 if count > PARAMETERS_MAX:
@@ -75,7 +81,7 @@ def test_nothing_is_named_told_or_said() -> None:
     vague = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}: {named(node)}"
         for path in sorted(ROOMS.rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree(path))
         if (named(node) or "").lstrip("_") in ("told", "said")
     ]
     assert not vague
@@ -85,7 +91,7 @@ def test_a_class_name_is_defined_once() -> None:
     """Whoever reads or looks for a class meets one thing. Protocol messages keep the names they have on the wire."""
     defined: dict[str, list[str]] = {}
     for path in sorted(ROOMS.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ClassDef):
                 defined.setdefault(node.name, []).append(f"{path.relative_to(ROOMS)}:{node.lineno}")
     assert not {name: places for name, places in defined.items() if len(places) > 1}
@@ -95,7 +101,7 @@ def test_every_room_says_what_it_is_for_and_stands_on_the_map() -> None:
     silent, unmapped = [], []
     for init in sorted(ROOMS.rglob("__init__.py")):
         room = init.parent.relative_to(ROOMS.parent).as_posix().removeprefix("annulus_pipe/")
-        if not ast.get_docstring(ast.parse(init.read_text(encoding="utf-8"))):
+        if not ast.get_docstring(tree(init)):
             silent.append(room)
         if room.startswith("wings/"):  # not on the map: a wing is added by its folder alone
             wing = ROOMS / "/".join(room.split("/")[:2])
@@ -165,6 +171,32 @@ def test_no_file_of_the_package_needs_one_that_needs_it() -> None:
     needs = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
     assert sum(map(len, needs.values())) > 1000
     TopologicalSorter(needs).prepare()  # CycleError names the circle
+
+
+def names_in(module: str) -> set[str]:
+    """What can be imported from a module of the package: what its file names, and the files beside it."""
+    path = ROOMS.parent / module.replace(".", "/")
+    beside = {file.stem for file in path.glob("*")} if path.is_dir() else set()
+    whole = tree(path / "__init__.py" if path.is_dir() else path.with_suffix(".py"))
+    nodes = [node for node in ast.walk(whole) if not isinstance(node, ast.arg)]
+    bare = {alias.name for node in nodes if isinstance(node, ast.ImportFrom | ast.Import) for alias in node.names}
+    classes = {node.name for node in nodes if isinstance(node, ast.ClassDef)}
+    return beside | bare | classes | {name for node in nodes if (name := named(node))}
+
+
+def test_what_tools_take_from_the_package_is_there() -> None:
+    """Much of it inside functions that take minutes, and that no test calls: a name that has moved is found here."""
+    taken: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "tools").rglob("*.py")):
+        if "node_modules" not in path.parts:
+            for node in ast.walk(tree(path)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("annulus_pipe"):
+                    where = f"{path.relative_to(ROOT)}:{node.lineno}"
+                    taken.setdefault(str(node.module), []).extend(f"{alias.name} {where}" for alias in node.names)
+    assert len(taken) > 100
+    there = {module: names_in(module) for module in taken}
+    gone = [f"{module}.{one}" for module in taken for one in taken[module] if one.split()[0] not in there[module]]
+    assert not gone
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from annulus_pipe.reprocess.executors import Processes
+from annulus_pipe.storage.calibration_file import save_calibration
+from annulus_pipe.twin.worlds.pipes import demo_world
 
 HEAVY = {"scipy", "matplotlib", "mpl_toolkits", "PIL", "jinja2", "google", "mcap", "rich", "pyarrow", "duckdb"}
 TYPED = """
@@ -23,10 +27,11 @@ finally:
 
 
 def imported(*words: str) -> tuple[str, set[str]]:
-    """What a command says, and the packages that it had imported when it ended."""
+    """What a command says, and what it had imported when it ended: packages, and modules by their whole names."""
     done = subprocess.run([sys.executable, "-c", TYPED, *words], capture_output=True, text=True, check=False)
     *said, modules = done.stderr.splitlines()
-    return done.stdout + "\n".join(said), {name.partition(".")[0] for name in modules.split()}
+    whole = modules.split()
+    return done.stdout + "\n".join(said), {*whole, *(name.partition(".")[0] for name in whole)}
 
 
 @pytest.mark.parametrize("words", [["--help"], ["record", "--help"], ["timing", "--nonsense"]])
@@ -48,6 +53,26 @@ def test_what_is_known_without_numbers_imports_none(words: list[str]) -> None:
 def test_a_refusal_imports_nothing_that_only_the_work_needs(words: list[str], said: str, tmp_path: Path) -> None:
     told, packages = imported(*(word.format(tmp_path) for word in words))
     assert said.lower() in told.lower() and not packages & HEAVY
+
+
+@pytest.mark.parametrize(
+    "command, late",
+    [
+        ("reconstruct", {"annulus_pipe.wall.survey", "annulus_pipe.reprocess.engine", "annulus_pipe.report"}),
+        ("reprocess", {"annulus_pipe.reprocess.engine"}),  # makes its folder before it opens any of many scans
+    ],
+)
+def test_pictures_of_another_size_are_refused_before_the_work_is_imported(
+    command: str, late: set[str], tmp_path: Path
+) -> None:
+    head, scan = tmp_path / "head.json", tmp_path / "scan"
+    save_calibration(head, demo_world().calibration())
+    scan.mkdir()
+    (scan / "0.png").write_bytes(cv2.imencode(".png", np.zeros((30, 40, 3), np.uint8))[1].tobytes())
+    (scan / "frames.csv").write_text("index,file,light,z_mm\n0,0.png,projector,0\n")
+    told, modules = imported(command, str(scan), "--calibration", str(head), "-o", str(tmp_path / "out"))
+    assert "0.png is 40x30" in told
+    assert not modules & HEAVY and not modules & late
 
 
 @dataclass(frozen=True)

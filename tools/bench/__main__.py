@@ -14,19 +14,37 @@ from tools.bench.table import Table
 TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "archive", "speed")
 
 
+HELP = {"-h", "--help"}
+
+
 def main(arguments: list[str]) -> int:
+    """The exit status."""
     name, *topics = arguments or [""]
+    if name in HELP:
+        print(f"{__doc__}\nTables: {', '.join(TABLES)}; `python -m tools.bench TABLE --help` lists its topics.")
+        return 0
     if name in ("fuzz", "scenes", "blind"):
         return int(importlib.import_module(f"tools.bench.{name}.run").main(topics))
     if name not in TABLES:
         print(f"table {name!r}: expected one of {', '.join(TABLES)}, and then its topics, if not all", file=sys.stderr)
         return 2
     table: Table = importlib.import_module(f"tools.bench.{name}").TABLE
+    if HELP & set(topics):
+        print(_topics(name, table))
+        return 0
     unknown = set(topics) - set(table.topics)
     if unknown:
         print(f"no such topic: {', '.join(sorted(unknown))}; there are {', '.join(table.topics)}", file=sys.stderr)
         return 2
     return table.run(topics)
+
+
+def _topics(name: str, table: Table) -> str:
+    widest = max(map(len, table.topics))
+    listed = [f"  {topic:{widest}}  {title}" for topic, title in table.topics.items()]
+    example = f"Example: python -m tools.bench {name} {next(iter(table.topics))}"
+    made = f"; all of them: {table.made_by}" if table.made_by else ""
+    return "\n".join([table.title, "", f"Topics, which may be named to run them alone{made}:", *listed, "", example])
 
 
 if __name__ == "__main__":

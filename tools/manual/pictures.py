@@ -26,7 +26,7 @@ def make() -> None:
 
 def _frames() -> None:
     """What cameras see: one frame by each light, in three worlds."""
-    from annulus_pipe.record.recording import to_bgr
+    from annulus_pipe.record.codec import to_bgr
     from annulus_pipe.twin.render import Renderer
     from annulus_pipe.twin.scan import world_named
 

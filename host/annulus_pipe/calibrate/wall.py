@@ -119,7 +119,7 @@ def _radii(
     radii = np.full((len(frames), len(calibration.rings)), math.nan)
     fixed = np.zeros(len(calibration.rings))
     for i, frame in enumerate(frames):
-        profile = reconstructor.profile(frame.image, frame=frame.index, z_mm=frame.z_mm)
+        profile = reconstructor.profile(frame.image, frame=frame.index, z_mm=0.0)  # radii alone: wherever it stood
         radius = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1])
         for k in range(len(fixed)):
             mine = radius[profile.ring == k]

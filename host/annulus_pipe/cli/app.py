@@ -158,9 +158,11 @@ def reconstruct(
         which = "without --calibration" if calibration is None else f"with {calibration}: its head projects no fringes"
         raise AnnulusError(f"--by cameras does not go {which}, expected a head that projects fringes on a plate")
     if wing is None:
-        from annulus_pipe.reprocess.job import open_job  # what refuses first: it is done before the rest is there
+        from annulus_pipe.reprocess.job import look_at, open_job
 
+        # What is refused is refused before the rest is imported, and a folder made.
         work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
+        look_at(work)
     from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
     from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.reprocess.executors import Processes
@@ -186,11 +188,9 @@ def reconstruct(
             print("\n".join([*results.lines, f"report     {out / 'report.html'}"]))
         return
     from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess.engine import look_at
     from annulus_pipe.reprocess.whole import surveyed
 
     origin = origin_of(work.scan, calibration, sheet)
-    look_at(work)  # what is refused is refused before a folder is made
     prepare_folder(out)
     with progress(show_as) as bars:
         place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria)

@@ -177,25 +177,28 @@ def _one(scan: str, place: "StoragePath", executor: "Executor", given: _With, ba
 
 
 def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
-    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
-    from annulus_pipe.report import prepare_folder
-    from annulus_pipe.reprocess.engine import look_at
-    from annulus_pipe.reprocess.job import open_job
-    from annulus_pipe.reprocess.whole import surveyed
-    from annulus_pipe.scans.origin import origin_of
+    from annulus_pipe.reprocess.job import look_at, open_job
     from annulus_pipe.storage.place import where
 
     path = cast(Path, where(scan))
     wing = opened(path, given.calibration)
+    if wing is None:  # what is refused is refused before the rest is imported, and a folder made
+        work = open_job(
+            path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections
+        )
+        look_at(work)
+    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.report import prepare_folder
+    from annulus_pipe.reprocess.whole import surveyed
+    from annulus_pipe.scans.origin import origin_of
+
     if wing is not None:
         refuse(wing[0], {"colour": given.colour, "reference": given.reference or given.sections})
         account = ReportContext(scan, origin_of(wing[0].scan, given.calibration))
         results = measured_by(wing, place, account, executor, bars, keep=True)
         made = {"ranges": results.ranges, "made": results.made, "left_out": 0}
         return {"ok": True, "results": str(place), "why": None, **made}
-    work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
-    look_at(work)  # what is refused is refused before a folder is made
     if place.local is not None:
         prepare_folder(place.local)
     about = ReportContext(scan, origin)

@@ -53,6 +53,7 @@ def versions() -> list[CheckRow]:
 def loops() -> list[CheckRow]:
     """Which library of the measuring loops this processor runs."""
     try:
+        native.library()
         return [CheckRow("loops", True, f"the measuring loops for {native.level()}")]
     except AnnulusError as error:
         return [CheckRow("loops", False, str(error))]

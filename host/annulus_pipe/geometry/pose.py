@@ -1,5 +1,6 @@
 """Where the pipe is, seen from the camera."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,8 @@ class Pose:
 
     @property
     def rotation(self) -> FloatArray:
-        turned = rotation_x(self.rx) @ rotation_y(self.ry)
+        (ca, sa), (cb, sb) = ((math.cos(a), math.sin(a)) for a in (self.rx, self.ry))
+        turned = np.array([[cb, 0.0, sb], [sa * sb, ca, -sa * cb], [-ca * sb, sa, ca * cb]])
         return turned if self.roll is None else turned @ rotation_z(-self.roll)
 
     @property

@@ -4,7 +4,7 @@ To make them (`bgr`) takes longer than to read the frame, and three times its me
 """
 
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -57,9 +57,21 @@ def bgr_of(picture: Picture) -> Image:
     return picture.bgr() if isinstance(picture, Mosaic) else picture
 
 
-def has_bytes(picture: Picture) -> bool:
-    """Whether its values are of 8 bits."""
-    return bool((picture.cells if isinstance(picture, Mosaic) else picture).dtype == np.uint8)
+def is_colour(picture: Picture, width: int, height: int) -> bool:
+    """Whether it is of that size, in colours, 8 bits each."""
+    return picture.shape == (height, width, 3) and _dtype(picture) == np.uint8
+
+
+def in_words(picture: Picture) -> str:
+    """Its size and what its values are, to be said of one that was refused: "832x616, 3 of float64"."""
+    if len(picture.shape) < 2:
+        return f"an array of shape {picture.shape}"
+    height, width, *rest = picture.shape
+    return f"{width}x{height}, {'x'.join(map(str, rest or [1]))} of {_dtype(picture)}"
+
+
+def _dtype(picture: Picture) -> np.dtype[Any]:
+    return picture.cells.dtype if isinstance(picture, Mosaic) else picture.dtype
 
 
 def thinned(picture: Picture, every: int) -> Image:

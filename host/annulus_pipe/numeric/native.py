@@ -58,16 +58,25 @@ def library() -> ctypes.CDLL:
 @functools.cache
 def level() -> str:
     """Which of LEVELS is loaded, or what CHOSEN names. Raises AnnulusError as `library` does."""
-    if chosen := os.environ.get(CHOSEN):
+    chosen = os.environ.get(CHOSEN, "")
+    if os.path.isabs(chosen):
         return chosen
     usual = LEVELS[2 if platform.machine() == "x86_64" else 0]
     able = _load(shipped(f"{LOOPS}{usual}.so")).processor_level
     able.restype = ctypes.c_int64
-    return LEVELS.get(able(), usual)
+    best = able()
+    runs = [name for one, name in LEVELS.items() if one <= best and bool(one) == bool(best)]
+    if chosen and chosen not in runs:
+        raise AnnulusError(f"{CHOSEN}={chosen}: expected {', '.join(runs)} or a library's whole path")
+    return chosen or runs[-1]
 
 
 def _load(path: Path) -> ctypes.CDLL:
-    if not _is_whole(path):
+    try:
+        whole = _is_whole(path)
+    except OSError as error:
+        raise AnnulusError(f"{path}: {error.strerror}, expected a library of annulus's loops") from None
+    if not whole:
         raise AnnulusError(
             f"{path}: is cut short, or no library. `make setup` builds it, a wheel has it: install again."
         )

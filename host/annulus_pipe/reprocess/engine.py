@@ -10,22 +10,14 @@ from dataclasses import dataclass, replace
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.hooks import added
 from annulus_pipe.numeric.arrays import Image
-from annulus_pipe.numeric.mosaic import bgr_of
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.executors import Executor, Failed, in_process
-from annulus_pipe.reprocess.job import Job, Measured, stage_medians, turns_of
+from annulus_pipe.reprocess.job import Job, Measured, look_at, stage_medians, turns_of
 from annulus_pipe.reprocess.method import examined
 from annulus_pipe.reprocess.optics import prior_of
-from annulus_pipe.reprocess.places import (
-    doubled_findings,
-    incomplete_findings,
-    place_findings,
-    require_near,
-    running_back_findings,
-)
+from annulus_pipe.reprocess.places import doubled_findings, incomplete_findings, place_findings, running_back_findings
 from annulus_pipe.reprocess.ranges import CHUNK
 from annulus_pipe.rings.diagnosis import FrameLighting, diagnose, exposure_findings, lamp_findings, reference_findings
-from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.profile import Profile
@@ -35,7 +27,6 @@ from annulus_pipe.wall.texture import LedFrame, shows
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
-LOOKED_AT = 4  # frames examined for what may be wrong with all of them
 DAMAGED, MISSING, APART = "damaged", "camera-missing", "flashes-apart"  # kinds of finding
 APART_MOST = 0.25  # of the flashes: where more are not of one, their frames are paired wrongly
 
@@ -83,31 +74,6 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     findings, frames, drops = account(job, which, decided, seen)
     timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}
     return Reprocessed(job, profiles, findings, frames, drops, timing)
-
-
-def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
-    """The flashes to measure, and images of a few of them spread over the scan, by frame index. It takes a moment, so
-    ask before what takes a minute. Raises AnnulusError, one line, where nothing can be measured: no flash of the
-    projector, pictures of another size than the calibration's camera, none that is whole."""
-    which = job.flashes(Label.PROJECTOR)
-    if not which:
-        raise AnnulusError(
-            f"{job.scan.path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
-        )
-    require_near(job.scan.path, [job.scan.frames[i].z_mm for i in which])
-    spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
-    looked_at = []
-    for i in spread:
-        with contextlib.suppress(DamagedError):
-            images = {number: bgr_of(picture) for number, picture in job.read_flash(i).items()}
-            looked_at.append((job.scan.frames[i].index, images))
-    if not looked_at:
-        job.read(which[0])  # says what is wrong
-    if job.calibration.kind == "line":  # light that stays on: a video's, and perhaps an interlaced one's
-        combs = sum(any(combed(image) for image in images.values()) for _, images in looked_at)
-        if two_fields(combs, len(looked_at)):
-            raise AnnulusError(f"{job.scan.path}: {combs} of {len(looked_at)} pictures looked at {TWO_FIELDS}")
-    return which, looked_at
 
 
 def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:

@@ -1,5 +1,6 @@
 """What is to be reprocessed, and with what."""
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,9 +12,11 @@ from annulus_pipe.numeric.arrays import Image
 from annulus_pipe.numeric.mosaic import Picture, bgr_of
 from annulus_pipe.record.walk import DamagedError
 from annulus_pipe.reprocess.method import Method, method_for
+from annulus_pipe.reprocess.places import require_near
 from annulus_pipe.rings.calibration.reference import Reference
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.diagnosis import FrameLighting, diagnose
+from annulus_pipe.scans.fields import TWO_FIELDS, combed, two_fields
 from annulus_pipe.scans.scan import Scan, ScanFrame, open_scan
 from annulus_pipe.storage.calibration_file import load_calibration, load_part
 from annulus_pipe.storage.place import Where, where
@@ -23,6 +26,7 @@ from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.reference import ReferenceSection, sections_recorded
 
 FLASH_MM = 0.05  # frames of one flash stand no farther apart; a tenth of what a head moves in a flash is less
+LOOKED_AT = 4  # frames examined for what may be wrong with all of them
 Measured = tuple[Profile, FrameLighting]
 
 
@@ -149,6 +153,31 @@ def open_job(
         )
     recorded = (opened.recording.configuration or {}) if opened.recording is not None else {}
     return Job(opened, known, paint, pattern, tuple(sections) or sections_recorded(recorded.get("reference")))
+
+
+def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
+    """The flashes to measure, and images of a few of them spread over the scan, by frame index. It takes a moment, so
+    ask before what takes a minute. Raises AnnulusError, one line, where nothing can be measured: no flash of the
+    projector, pictures of another size than the calibration's camera, none that is whole."""
+    which = job.flashes(Label.PROJECTOR)
+    if not which:
+        raise AnnulusError(
+            f"{job.scan.path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
+        )
+    require_near(job.scan.path, [job.scan.frames[i].z_mm for i in which])
+    spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
+    looked_at = []
+    for i in spread:
+        with contextlib.suppress(DamagedError):
+            images = {number: bgr_of(picture) for number, picture in job.read_flash(i).items()}
+            looked_at.append((job.scan.frames[i].index, images))
+    if not looked_at:
+        job.read(which[0])  # says what is wrong
+    if job.calibration.kind == "line":  # light that stays on: a video's, and perhaps an interlaced one's
+        combs = sum(any(combed(image) for image in images.values()) for _, images in looked_at)
+        if two_fields(combs, len(looked_at)):
+            raise AnnulusError(f"{job.scan.path}: {combs} of {len(looked_at)} pictures looked at {TWO_FIELDS}")
+    return which, looked_at
 
 
 def _belong_together(scan: Scan, calibration: Calibration) -> None:

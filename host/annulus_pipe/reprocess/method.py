@@ -1,5 +1,6 @@
 """Which method a head's frames need, and the one function from the frames of a flash to their profile."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
@@ -50,7 +51,7 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
 
 def _method(profile_of: Callable[..., Profile]) -> Method:
     def profile(frame: FrameFacts, pictures: Mapping[int, Picture], seed: Pose | None) -> Profile:
-        if frame.z_mm is None:
+        if frame.z_mm is None or not math.isfinite(frame.z_mm):
             raise ValueError("no place along the pipe is known for this frame")
         return profile_of(pictures, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
 

@@ -1,9 +1,7 @@
 """The image seen along straight lines from the pattern's centre: where each sample lies and which ray it is."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -169,23 +167,18 @@ class Unroller:
         lines, length = len(grid.cosine), grid.address.shape[1]
         self.grid = grid
         self.top = np.empty(lines * length, np.uint8)
-        self._plane = empty_plane(grid)
         self._black, self._gain, self._range = np.empty(3, np.int32), np.empty(3, np.int32), np.empty(2, np.int64)
         self._levels = np.empty(2)
-        rows = np.empty((3, length), np.uint8)
-        self._unroll = _unroll.held(self._plane, grid.size[1], grid.address, grid.part, ..., ..., rows, self.top)
-        self._level = _level.held(self.top, grid.stop, ..., ..., SIGMA_OF_MAD, self._levels)
-        self._looks = {channels: self._look_at(channels) for channels in (1, 3)}  # a mosaic, and in colours
-
-    def _look_at(self, channels: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """For images of so many bytes a pixel: the coarse look, and the strongest channel."""
-        grid, image = self.grid, Like(np.empty((*self.grid.size, channels), np.uint8))
-        lines, length = len(grid.cosine), grid.address.shape[1]
         limits = np.array([LIT, LIT_MARGIN, WEAK, RAISED_MOST, LEAST_SAMPLES])
         seen = np.empty(3 * (lines // PROBE_LINES + 1) * (length // PROBE_PX + 2), np.uint8)
-        steps, found = (PROBE_LINES, PROBE_PX, limits, seen), (self._black, self._gain, self._range)
-        look = _look.held(image, ..., grid.address, grid.stop, *steps, *found)
-        return look, _strongest.held(image, ..., *grid.centre, ..., ..., self._black, self._gain, self._plane)
+        placed = grid.address, grid.part, grid.stop, *grid.centre, grid.first, grid.step
+        asked = PROBE_LINES, PROBE_PX, limits, SIGMA_OF_MAD
+        observed = seen, self._black, self._gain, self._range, empty_plane(grid)
+        laid = *observed, np.empty((3, length), np.uint8), self.top, self._levels
+        self._lay_out = {
+            channels: _lay_out.held(Like(np.empty((*grid.size, channels), np.uint8)), ..., *placed, *asked, *laid)
+            for channels in (1, 3)  # a mosaic, and in colours
+        }
 
     def __call__(self, image: Picture) -> Unrolled:
         """See `unroll`. Raises AnnulusError where the image is not of the grid's size."""
@@ -196,13 +189,8 @@ class Unroller:
                 f"image: shape {image.shape}, expected ({height}, {width}, 3), as the calibration's camera"
             )
         cells, phase = laid_out(image)
-        look, strongest = self._looks[cells.shape[2]]
-        look(cells, phase)
+        self._lay_out[cells.shape[2]](cells, phase)
         start, stop = self._range.tolist()
-        ends = grid.first + grid.step * start, grid.first + grid.step * stop
-        strongest(cells, phase, min(ends) - 3.0, max(ends) + 3.0)
-        self._unroll(start, stop - start)
-        self._level(start, stop - start)
         return Unrolled(cells, phase, self.top, stop - start, len(grid.cosine), start, *self._levels.tolist())
 
 
@@ -246,44 +234,30 @@ def sampled(plane: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
     return out
 
 
-_look = door(
-    "rings_look",
+_lay_out = door(
+    "rings_lay_out",
     "u1[h,w,b] image",
     "i8 phase",
-    "u4[l,n] address",
+    "u4[i,n] address",
+    "u2[i,n] part",
     "i8[j] stop",
+    "f8 cx",
+    "f8 cy",
+    "f8 first",
+    "f8 step",
     "i8 every",
     "i8 px",
     "f8[5] limits",
+    "f8 sigma_of_mad",
     "u1[s]! seen",
     "i4[3]! black",
     "i4[3]! gain",
     "i8[2]! range",
-)
-_strongest = door(
-    "rings_strongest",
-    "u1[h,w,b] image",
-    "i8 phase",
-    "f8 cx",
-    "f8 cy",
-    "f8 inner",
-    "f8 outer",
-    "i4[3] black",
-    "i4[3] gain",
     "u1[p]! plane",
-)
-_unroll = door(
-    "rings_unroll",
-    "u1[p] plane",
-    "i8 w",
-    "u4[i,n] address",
-    "u2[i,n] part",
-    "i8 a",
-    "i8 m",
     "u1[3,n]! rows",
     "u1[t]! top",
+    "f8[2]! levels",
 )
-_level = door("rings_level", "u1[t] top", "i8[j] stop", "i8 a", "i8 m", "f8 sigma_of_mad", "f8[2]! out")
 _sample = door("rings_sample", "u1[p] plane", "i8 w", "u4[i,n] address", "u2[i,n] part", "u1[i,n]! out")
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
-from annulus_pipe.numeric.mosaic import Picture, bgr_of, has_bytes
+from annulus_pipe.numeric.mosaic import Picture, bgr_of, in_words, is_colour
 from annulus_pipe.numeric.native import door
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import Candidates, StripeColours, StripeNames, letters
@@ -31,13 +31,13 @@ from annulus_pipe.rings.lines import MOSAIC_PX, find_lines, line_bias, name_line
 from annulus_pipe.rings.objects import without_objects
 from annulus_pipe.rings.order import PlacedSlits, by_order
 from annulus_pipe.rings.outliers import NamedSlits, Outliers
-from annulus_pipe.rings.pedestal import without_pedestal
+from annulus_pipe.rings.pedestal import Pedestal, without_pedestal
 from annulus_pipe.rings.polar import PolarGrid, Unroller, polar_grid, unroll
 from annulus_pipe.rings.slits import FrameSlits, Slits, find_slits
 from annulus_pipe.rings.triangulate import CandidatePoints, RingOptics, ring_optics
 from annulus_pipe.rings.uncertainty import BIAS_PX, KeptSlits, PointErrors, calibrated
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.pose import Fit, Fitter, weight_of
+from annulus_pipe.wall.pose import Fit, Fitter, sound_seed, weight_of
 from annulus_pipe.wall.profile import Profile
 
 # Measured by topics colour (points read, wrong rings), few_rings and diameter; OVER_EXPOSED by uncertainty.
@@ -68,6 +68,7 @@ class _Memory:
     ) -> None:
         rings, directions = optics.bend.shape
         of_lines = calibration.kind == "line"  # of one colour
+        self.pedestal = Pedestal(grid.size, grid.spacing_px)
         self.unroll, self.slits = Unroller(grid), FrameSlits(grid)
         slits = self.slits
         most = len(slits.position)
@@ -132,21 +133,22 @@ class Reconstructor:
         ----------
         image : (H, W, 3) uint8 BGR, or the mosaic that it is made of; of the calibration's size.
         z_mm : the frame's station, added to the points' z.
-        seed : pose of a frame nearby, saves iterations; a wrong one does no harm.
+        seed : pose of a frame nearby, saves iterations; a wrong one, or one that is not finite, does no harm.
         roll_deg : how far the head was turned clockwise, looking forward; None where no sensor said so, and then clock
             positions are the head's own.
 
         Raises
         ------
-        AnnulusError where the image is not of the calibration's size. A frame without a pipe in it is no error: its
-        profile has no pose and no points, and `rejected` says why.
+        AnnulusError where the image is not of the calibration's size, or its station is not finite. A frame without a
+        pipe in it is no error: its profile has no pose and no points, and `rejected` says why.
         """
         camera = self.calibration.camera
-        if image.shape != (camera.height, camera.width, 3) or not has_bytes(image):
+        if not is_colour(image, camera.width, camera.height):
             raise AnnulusError(
-                f"frame {frame}: image is {_size(image)} but the calibration's camera is "
-                f"{camera.width}x{camera.height}, 8 bit colour. Calibrate with the camera that took this scan."
+                f"frame {frame}: image is {in_words(image)}, but the calibration's camera is "
+                f"{camera.width}x{camera.height}, 3 of uint8. Calibrate with the camera that took this scan."
             )
+        seed = sound_seed(frame, z_mm, seed)
         memory = self._spare.pop() if self._spare else self._memory()
         try:
             return self._profile(memory, image, frame, z_mm, seed, roll_deg, clock)
@@ -233,7 +235,7 @@ class Reconstructor:
     def _observe_slits(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
         """What the frame shows."""
         slits, candidates = memory.slits, memory.candidates
-        unrolled = memory.unroll(without_pedestal(image, self._grid.spacing_px))
+        unrolled = memory.unroll(memory.pedestal.taken_off(image))
         mark("polar")
         slits.find(unrolled)
         mark("slits")
@@ -299,10 +301,6 @@ def spans(marks: list[tuple[str, float]]) -> dict[str, float]:
         out[name] = out.get(name, 0.0) + 1e3 * (after - before)
     out["total"] = 1e3 * (marks[-1][1] - marks[0][1])
     return out
-
-
-def _size(image: Picture) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}" if len(image.shape) >= 2 else f"an array of shape {image.shape}"
 
 
 _keep = door(

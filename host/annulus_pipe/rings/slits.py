@@ -58,34 +58,28 @@ class FrameSlits:
         self.position, self.width, self.blur = np.empty(most), np.empty(most), np.empty(most)
         self.light = np.empty((6, most))  # blue, green, red of the stripe inside, then of the one outside
         self.bright = np.empty(most)  # the strongest of either, together
-        self._counts, self._limits = np.empty(2, np.int64), np.empty(9, np.float32)
+        self._counts, self._limits = np.empty(3, np.int64), np.empty(9, np.float32)
         self._limits[:] = (FALL, HALFWAY, LEVEL, STEEPEST, BLUR_MOST, 0.0, grid.spacing_px, 0.0, grid.step)
         work, marks = np.empty(3 * length + 8, np.float32), np.empty(length + 8, np.uint8)
-        depth, samples = np.empty(most, np.float32), np.empty((most, 5), np.int32)
-        found = self.direction, self.position, self.width, self.blur, depth, samples
-        edges = smoothing(grid.spacing_px), self._limits, PER_LINE, CLEAR, BESIDE, work, marks
+        depth, samples = np.empty((2, most), np.float32), np.empty((most, 5), np.int32)
+        asked = smoothing(grid.spacing_px), self._limits, PER_LINE, CLEAR, BESIDE, SHALLOW, _ways(grid)
+        found = self.direction, self.position, self.width, self.blur, depth[1], samples
+        written = work, marks, depth[0], *found, self.light, self.bright, self._counts
         top = Like(np.empty(lines * length, np.uint8))
-        self._scan = _scan.held(top, grid.stop, ..., ..., *edges, *found, self._counts)
-        self._dark_ones = _dark_ones.held(SHALLOW, ..., np.empty(most, np.float32), *found)
-        lit = grid.cosine, grid.sine, self.direction, samples, ..., self.light, self.bright
-        self._lights = {
-            channels: _light.held(
-                Like(np.empty((*grid.size, channels), np.uint8)), ..., *grid.centre, ..., grid.step, *lit
+        self._find = {
+            channels: _find.held(
+                Like(np.empty((*grid.size, channels), np.uint8)), ..., top, grid.stop, ..., ..., *asked, *written
             )
             for channels in (1, 3)
         }
 
     def find(self, unrolled: Unrolled) -> None:
         """The slits of a frame laid out by `polar.unroll`, the light beside them included."""
-        first = self.grid.first + self.grid.step * unrolled.first
+        cells, first = unrolled.cells, unrolled.first
         self._limits[5] = max(FAINT * unrolled.bright, 4.0 * unrolled.noise, 2.0)
-        self._limits[7] = first
-        self._scan(unrolled.flat, unrolled.first, unrolled.length)
-        every, self.crowded = self._counts.tolist()
-        self.size = self._dark_ones(every)
-        self.shallow = every - self.size
-        self._lights[unrolled.cells.shape[2]](unrolled.cells, unrolled.phase, first, self.size)
-        self.position[: self.size] += unrolled.first
+        self._limits[7] = self.grid.first + self.grid.step * first
+        self._find[cells.shape[2]](cells, unrolled.phase, unrolled.flat, first, unrolled.length)
+        self.size, self.shallow, self.crowded = self._counts.tolist()
 
     def take(self, slits: Slits) -> None:
         """What was found some other way, as many as there is room for."""
@@ -123,6 +117,14 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     return table.slits()
 
 
+def _ways(grid: PolarGrid) -> NDArray[np.int64]:
+    """(J, 4) x and y, 2^-32 px, of each line's first sample and of its step; half a pixel is added, so that what lies
+    above the point is the nearest pixel."""
+    way = np.stack([grid.cosine, grid.sine], axis=1)
+    start = grid.centre + grid.first * way + 0.5
+    return np.asarray(np.rint(2.0**32 * np.hstack([start, grid.step * way])), np.int64)
+
+
 def smoothing(spacing_px: float) -> NDArray[np.float32]:
     """Middle and one side of the taps that lines are smoothed with: the stripes of the densest ring survive it."""
     sigma = min(1.4, max(0.6, spacing_px / 16.0))
@@ -130,37 +132,31 @@ def smoothing(spacing_px: float) -> NDArray[np.float32]:
     return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), np.float32)
 
 
-_FOUND = ("i8[n]! direction", "f8[n]! place", "f8[n]! width", "f8[n]! blur", "f4[n]! depth", "i4[n,5]! samples")
-_scan = door(
-    "rings_scan",
+_find = door(
+    "rings_find",
+    "u1[h,w,b] image",
+    "i8 phase",
     "u1[t] top",
     "i8[j] stop",
-    "i8 first_sample",
+    "i8 first",
     "i8 m",
     "f4[5] taps",
     "f4[9] limits",
     "i8 per_line",
     "i8 clear",
     "i8 beside",
+    "f4 shallow",
+    "i8[j,4] ways",
     "f4[r]! work",
     "u1[q]! marks",
-    *_FOUND,
-    "i8[2]! counts",
-)
-_dark_ones = door("rings_dark_ones", "f4 shallow", "i8 size", "f4[n]! work", *_FOUND, returns="i8")
-_light = door(
-    "rings_light",
-    "u1[h,w,b] image",
-    "i8 phase",
-    "f8 cx",
-    "f8 cy",
-    "f8 first",
-    "f8 step",
-    "f8[j] cosine",
-    "f8[j] sine",
-    "i8[n] direction",
-    "i4[n,5] samples",
-    "i8 size",
+    "f4[n]! depths",
+    "i8[n]! direction",
+    "f8[n]! place",
+    "f8[n]! width",
+    "f8[n]! blur",
+    "f4[n]! depth",
+    "i4[n,5]! samples",
     "f8[6,n]! light",
     "f8[n]! bright",
+    "i8[3]! counts",
 )

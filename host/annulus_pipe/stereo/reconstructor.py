@@ -22,7 +22,7 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.cone import intersect_cone
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
-from annulus_pipe.numeric.mosaic import Picture, has_bytes
+from annulus_pipe.numeric.mosaic import Picture, in_words, is_colour
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.rings.colour import ColourProfile
@@ -32,7 +32,7 @@ from annulus_pipe.stereo.merge import BLUNT, CONTRADICTED, EDGE, KNOWN, Merged, 
 from annulus_pipe.stereo.points import beside, known, outwards, radius_sigma, to_pipe
 from annulus_pipe.stereo.view import Expected, ObservedSlits, View, view_of
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wall.pose import Fit, fit_pose
+from annulus_pipe.wall.pose import Fit, fit_pose, sound_seed
 from annulus_pipe.wall.profile import Profile
 
 # By topic stereo of the metrology table.
@@ -129,8 +129,10 @@ class StereoReconstructor:
 
         Raises
         ------
-        AnnulusError for an image of another size than its camera's, or of a camera that the head does not have.
+        AnnulusError for an image of another size than its camera's, or of a camera that the head does not have, and
+        for a station that is not finite.
         """
+        seed = sound_seed(frame, z_mm, seed)
         pipe = self.calibration.pipe_radius_mm
         marks = [("", clock())]
         seen: dict[int, ObservedSlits] = {}
@@ -140,10 +142,10 @@ class StereoReconstructor:
                 own = ", ".join(map(str, self.views))
                 raise AnnulusError(f"frame {frame}: is of camera {number}, but the calibration has cameras {own}.")
             camera = self.views[number].camera
-            if image.shape != (camera.height, camera.width, 3) or not has_bytes(image):
+            if not is_colour(image, camera.width, camera.height):
                 raise AnnulusError(
-                    f"frame {frame}: camera {number}'s image is {'x'.join(map(str, image.shape[1::-1]))} but the "
-                    f"calibration's is {camera.width}x{camera.height}, 8 bit colour. Calibrate with these cameras."
+                    f"frame {frame}: camera {number}'s image is {in_words(image)}, but the calibration's is "
+                    f"{camera.width}x{camera.height}, 3 of uint8. Calibrate with these cameras."
                 )
             seen[number], left_out = self.views[number].see(image, self.colour)
             for reason, count in left_out.items():

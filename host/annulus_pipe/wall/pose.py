@@ -9,6 +9,7 @@ from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import CAUCHY, SIGMA_OF_MAD
+from annulus_pipe.vocabulary import AnnulusError
 
 # host/native/wall_pose.c has the method and its thresholds
 _fit = door(
@@ -78,6 +79,15 @@ def fit_pose(
     fitter.points[:] = points_mm.T
     fitter.weight[:] = weight_of(sigma_mm)
     return fitter.fit(len(sigma_mm), radius_mm, seed, one_ring)
+
+
+def sound_seed(frame: int, z_mm: float, seed: Pose | None) -> Pose | None:
+    """The seed of a frame at station z_mm, None for one that is not finite. Raises AnnulusError for such a station."""
+    if not math.isfinite(z_mm):
+        raise AnnulusError(f"frame {frame}: its station is {z_mm} mm, expected a finite number")
+    if seed is None or not math.isfinite(seed.rx + seed.ry + seed.tx + seed.ty):
+        return None
+    return seed
 
 
 def weight_of(sigma_mm: FloatArray) -> FloatArray:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.geometry.calibration import Calibration
-from annulus_pipe.reprocess.engine import look_at
-from annulus_pipe.reprocess.job import Job
+from annulus_pipe.reprocess.job import Job, look_at
 from annulus_pipe.reprocess.places import APART_MAX_MM, require_near
 from annulus_pipe.scans.scan import open_scan
 from annulus_pipe.vocabulary import AnnulusError

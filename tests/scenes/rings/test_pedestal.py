@@ -6,8 +6,7 @@ import pytest
 from drawn import PIPE_MM, Paint, calibration, draw
 
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.rings import reconstructor
-from annulus_pipe.rings.pedestal import without_pedestal
+from annulus_pipe.rings.pedestal import Pedestal, without_pedestal
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.wall.profile import Profile
 
@@ -37,7 +36,7 @@ def looked(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return by_ring(Reconstructor(CAL, 360).profile(image, frame=0, z_mm=0.0))
 
 
-def as_it_came(image: np.ndarray, spacing_px: float) -> np.ndarray:
+def as_it_came(pedestal: Pedestal, image: np.ndarray) -> np.ndarray:
     return image
 
 
@@ -45,7 +44,7 @@ def test_no_ring_is_lost_where_an_orange_pipe_lights_itself(monkeypatch: pytest.
     image = frame(ORANGE, 1.5)
     count, off = looked(image)
     assert count.min() > 340 and np.abs(off).max() < 0.2, (count, off)
-    monkeypatch.setattr(reconstructor, "without_pedestal", as_it_came)
+    monkeypatch.setattr(Pedestal, "taken_off", as_it_came)
     assert looked(image)[0].min() < 20  # what it is for
 
 
@@ -53,7 +52,7 @@ def test_rings_are_drawn_less_aside_where_a_white_pipe_lights_itself(monkeypatch
     image = frame(WHITE, 1.5)
     fine = slice(2, 5)  # what noise does to a point of the inner rings is as much
     with_it = np.abs(looked(image)[1][fine]).max()
-    monkeypatch.setattr(reconstructor, "without_pedestal", as_it_came)
+    monkeypatch.setattr(Pedestal, "taken_off", as_it_came)
     assert with_it < 0.5 * np.abs(looked(image)[1][fine]).max()
 
 

@@ -108,7 +108,7 @@ def test_frames_without_rings_have_no_pose_and_no_points(plain):
 
 def test_an_image_of_another_size_is_refused_in_one_line(plain):
     cal, _ = plain
-    with pytest.raises(AnnulusError, match="800x600 but the calibration's camera is 832x616"):
+    with pytest.raises(AnnulusError, match="800x600, 3 of uint8, but the calibration's camera is 832x616"):
         Reconstructor(cal).profile(np.zeros((600, 800, 3), np.uint8), frame=0, z_mm=0.0)
     with pytest.raises(AnnulusError, match="directions"):
         Reconstructor(cal, directions=2)

@@ -117,3 +117,21 @@ def test_a_library_that_is_cut_short_is_refused_and_not_loaded(tmp_path: Path, p
     (tmp_path / "short.so").write_bytes(whole[: int(part * len(whole))])
     with pytest.raises(AnnulusError, match="is cut short"):
         native._load(tmp_path / "short.so")
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ("nonsense", "ANNULUS_LOOPS=nonsense: expected .*or a library's whole path"),
+        ("/nowhere/loops.so", "/nowhere/loops.so: No such file"),
+        (str(NATIVE), "native: Is a directory"),
+    ],
+)
+def test_loops_chosen_that_there_are_none_of_are_refused_in_one_line(
+    chosen: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(native.CHOSEN, chosen)
+    monkeypatch.setattr(native, "level", native.level.__wrapped__)
+    with pytest.raises(AnnulusError, match=words) as refused:
+        native.library.__wrapped__()
+    assert "\n" not in str(refused.value) and "make setup" not in str(refused.value)

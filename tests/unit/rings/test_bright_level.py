@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from annulus_pipe.rings.pedestal import LIT, WORTH, _worth_it
+from annulus_pipe.rings.pedestal import LIT, WORTH, _look
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 12.0))
@@ -22,4 +22,5 @@ def test_a_coarse_look_is_judged_as_numpy_judges_it(seed: int, quarter: int, hal
     bright = np.percentile(strongest[::2, ::2], 97)
     darkest = cv2.erode(strongest, np.ones((window, window), np.uint8))[strongest > LIT * bright]
     level = np.median(darkest) if len(darkest) else 0.0
-    assert _worth_it(image, step, window) == (level > WORTH * bright) or abs(level - WORTH * bright) < 1e-9
+    worth_it = _look((image.shape[0], image.shape[1]), 3, step, window)(image, 0)
+    assert bool(worth_it) == (level > WORTH * bright) or abs(level - WORTH * bright) < 1e-9

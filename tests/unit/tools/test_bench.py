@@ -53,6 +53,13 @@ def test_a_row_that_misses_is_status_1(table: Table, monkeypatch: pytest.MonkeyP
     assert table.run(["good"]) == 1
 
 
+def test_help_lists_tables_and_topics_and_is_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0 and "Tables: metrology, " in capsys.readouterr().out
+    assert main(["speed", "--help"]) == 0
+    said = capsys.readouterr().out
+    assert "  codecs " in said and said.endswith("Example: python -m tools.bench speed rings\n")
+
+
 def test_names_that_there_are_not(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == main(["metrologie"]) == main(["metrology", "colors"]) == 2
     assert "there are autocalibration, " in capsys.readouterr().err
