@@ -1,8 +1,10 @@
 // Which of the pattern's colours a stripe is: annulus_pipe.rings.decode.classify has the theory.
 
 #include <math.h>
+#include <string.h>
 
 #include "native.h"
+#include "rings_frame.h"
 #include "selection.h"
 
 #define UNKNOWN 255  // as rings.decode: matches any colour, proves nothing
@@ -27,11 +29,11 @@ static int64_t least_members(const double part, const int64_t size)
 // red of the first `size` stripes in three rows, and in the next three of as many more; every so manieth is asked.
 // bright: the part of stripes below a frame's bright level; share: of them that a colour is learnt from. work (5, w):
 // room to work in.
-DOOR void rings_learn(const double* const light, const int64_t size, const int64_t every, const int64_t* const used,
-                      const double bright, const double share, double* const work, double* const gain,
-                      double* const reference, const int64_t r, const int64_t c, const int64_t u, const int64_t w)
+static void learn(const double* const light, const int64_t size, const int64_t every, const int64_t* const used,
+                  const double bright, const double share, double* const work, double* const gain,
+                  double* const reference, const int64_t r, const int64_t c, const int64_t u, const int64_t w)
 {
-    const int64_t there_are = least(size, c), step = most(every, 1);
+    const int64_t there_are = least(size, c), step = every;
     const int64_t some = least((there_are * (r / 3) + step - 1) / step, w);
     double* const values = work + 4 * w;
     for (int64_t i = 0; i < u; i++) {
@@ -96,9 +98,8 @@ DOOR void rings_learn(const double* const light, const int64_t size, const int64
     }
 }
 
-// Colours of stripes, indices into "RGB" or UNKNOWN: out (s, c), of a table of light as above. likeness: a colour must
-// be nearer its reference than any other by this much of the cosine.
-DOOR void rings_name(const double* const light, const int64_t size, const double* const gain,
+// Colours of stripes, indices into "RGB" or UNKNOWN: out (s, c), of a table of light as above.
+static void classify(const double* const light, const int64_t size, const double* const gain,
                      const double* const reference, const int64_t* const used, const double likeness,
                      uint8_t* const out, const int64_t r, const int64_t c, const int64_t u, const int64_t s)
 {
@@ -130,5 +131,27 @@ DOOR void rings_name(const double* const light, const int64_t size, const double
             const bool clear = (length > 1e-6) & ((colours == 1) | (first - second > likeness * length));
             out[part * c + n] = (uint8_t)(clear ? name : UNKNOWN);
         }
+    }
+}
+
+// The colours of a frame's stripes, and which rings each slit may be by them. gain, reference: as they are known, or
+// from `start` (u, 3) on moved to every so manieth stripe of this frame; every 0: they are known. likeness: a colour
+// must be nearer its reference than any other by this much of the cosine. pattern: of the rings that slits are listed
+// for, see `rings_list`; or none.
+DOOR void rings_name(const double* const light, const int64_t size, const int64_t every, const int64_t* const used,
+                     const double* const start, const double bright, const double share, const double likeness,
+                     double* const work, double* const gain, double* const reference, uint8_t* const out,
+                     const uint8_t* const pattern, int32_t* const slit, int32_t* const name, uint8_t* const fit,
+                     int64_t* const counts, const int64_t r, const int64_t c, const int64_t u, const int64_t w,
+                     const int64_t s, const int64_t p, const int64_t n)
+{
+    if (every > 0) {
+        memset(gain, 0, COLOURS * sizeof *gain);
+        memcpy(reference, start, (size_t)(COLOURS * u) * sizeof *start);
+        learn(light, size, every, used, bright, share, work, gain, reference, r, c, u, w);
+    }
+    classify(light, size, gain, reference, used, likeness, out, r, c, u, s);
+    if (pattern != NULL && s == 2) {
+        rings_list(out, size, pattern, slit, name, fit, counts, c, p, n);
     }
 }

@@ -5,6 +5,7 @@
 
 #include "native.h"
 #include "rings_choose.h"
+#include "rings_frame.h"
 
 #define UNKNOWN 255
 #define COLOURS 4      // red, green, blue, and unknown
@@ -82,14 +83,19 @@ INLINE double worth_of(const int fit, const double deviation, const double toler
 }
 
 // Ring of each of the first `size` slits, by the list's (first `listed`) deviations, and which of the list was chosen.
-// Returns how many have one. work (3, w), places (2, w): as many as one line may list. prices (3,): skip, place,
-// margin. ring (c,) is NONE (-1) where it is none or could be more than one.
+// deviation (n,): as it is, or of points, see `rings_deviations`. Returns how many have one. work (3, w), places (2,
+// w): as many as one line may list. prices (3,): skip, place, margin. ring (c,) is NONE (-1) where it is none or could
+// be more than one.
 DOOR int64_t rings_align(const int64_t* const direction, const int64_t size, const int32_t* const slit,
-                         const int32_t* const name, const uint8_t* const fit, const double* const deviation,
-                         const int64_t listed, const double tolerance, const double* const prices,
-                         int64_t* const places, double* const work, int64_t* const ring, int32_t* const chosen,
-                         const int64_t c, const int64_t n, const int64_t w)
+                         const int32_t* const name, const uint8_t* const fit, double* const deviation,
+                         const int64_t listed, const double* const points, const double* const rotation,
+                         const double* const shift, const double radius, const double tolerance,
+                         const double* const prices, int64_t* const places, double* const work, int64_t* const ring,
+                         int32_t* const chosen, const int64_t c, const int64_t n, const int64_t w)
 {
+    if (points != NULL && rotation != NULL && shift != NULL) {
+        rings_deviations(points, listed, rotation, shift, radius, deviation, n);
+    }
     const int64_t slits = least(size, c), all = least(listed, n);
     int64_t* const own_slit = places;
     int64_t* const own_name = places + w;

@@ -27,5 +27,9 @@ void rings_strongest(const picture_t* picture, bool mosaic, double cx, double cy
 void rings_light(const picture_t* picture, bool mosaic, const int64_t* ways, int64_t lines, int64_t first,
                  const int64_t* direction, const int32_t* samples, int64_t size, double* light, double* bright,
                  int64_t n);
+void rings_list(const uint8_t* colour, int64_t size, const uint8_t* pattern, int32_t* slit, int32_t* name, uint8_t* fit,
+                int64_t* counts, int64_t c, int64_t p, int64_t n);
+void rings_deviations(const double* points, int64_t listed, const double* rotation, const double* shift, double radius,
+                      double* deviation, int64_t n);
 
 #endif

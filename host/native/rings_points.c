@@ -6,6 +6,7 @@
 
 #include "mathematics.h"
 #include "native.h"
+#include "rings_frame.h"
 #include "selection.h"
 
 #define CONE 7    // numbers of a cone: vertex, axis, half-angle

@@ -7,8 +7,15 @@
 #include "native.h"
 #include "rings_frame.h"
 
-#define BLOCK 64    // samples fetched one by one, then weighed together
-#define BESIDE 3.0  // px around the samples that are looked at: what is between pixels is made of those beside it
+#define BLOCK 64     // samples fetched one by one, then weighed together
+#define RAISED 8192  // more than 32 times any difference of two bytes
+#define BESIDE 3.0   // px around the samples that are looked at: what is between pixels is made of those beside it
+
+// 32 times what lies between two neighbours, a low and a high byte, fx / 32 of the way.
+INLINE uint16_t weighed(const uint16_t two, const uint16_t fx)
+{
+    return (uint16_t)((uint16_t)((two & 255) << 5) + (uint16_t)((uint16_t)((two >> 8) - (two & 255)) * fx));
+}
 
 // Bilinear samples of one line: address of the upper left pixel, and in part 32 fy + fx, 1/32 px.
 static void sample(const uint8_t* const plane, const int64_t w, const uint32_t* const address,
@@ -23,10 +30,12 @@ static void sample(const uint8_t* const plane, const int64_t w, const uint32_t* 
             memcpy(&below[k], at + w, 2);
         }
         for (int64_t k = 0; k < n; k++) {
-            const uint16_t fx = part[start + k] & 31, fy = (part[start + k] >> 5) & 31;
-            const uint16_t top = (uint16_t)((above[k] & 255) * (32 - fx) + (above[k] >> 8) * fx);
-            const uint16_t low = (uint16_t)((below[k] & 255) * (32 - fx) + (below[k] >> 8) * fx);
-            out[start + k] = (uint8_t)(((uint32_t)top * (uint32_t)(32 - fy) + (uint32_t)low * fy + 512) >> 10);
+            const uint16_t fx = part[start + k] & 31, fy = (uint16_t)(part[start + k] << 5) & 0x7C00;  // 2^10 fy
+            const uint16_t top = weighed(above[k], fx), low = weighed(below[k], fx);
+            // (32 - fy) top + fy low, half of 1024 and over that; of the product of 16 bits the upper 16 are fy / 32
+            const uint16_t more = (uint16_t)(2 * (uint16_t)(low - top + RAISED));  // never negative
+            const uint16_t part_of = (uint16_t)((uint32_t)more * fy >> 16);
+            out[start + k] = (uint8_t)((uint16_t)(top + part_of - (fy >> 10) * (RAISED / 32) + 16) >> 5);
         }
     }
 }

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from toil import Toil
 
-from annulus_pipe.reprocess.executors import Failed, Processes, in_process
+from annulus_pipe.reprocess import executors
+from annulus_pipe.reprocess.executors import Failed, Processes, _Crew, in_process
 from annulus_pipe.vocabulary import AnnulusError
 
 ITEMS = tuple(range(12))
@@ -47,6 +48,35 @@ def test_what_raises_here_fails_after_its_tries(tmp_path: Path) -> None:
     assert work.tried(4) == work.tried(9) == 3 and told == {n: n * n for n in ITEMS if n not in (4, 9)}
     (tmp_path / "again").mkdir()
     assert dict(executor(Toil(tmp_path / "again", raises=frozenset({4, 9}), for_times=2), ITEMS)) == SQUARES
+
+
+@pytest.mark.parametrize(
+    ("clock", "left", "slow"),
+    [
+        ([], 90, False),  # no worker is there yet
+        ([0.0, 1.0], 90, False),  # it sets itself up, or is at the first item ..
+        ([0.0, 1.6], 1, True),  # .. for too long
+        ([0.0, 0.3, 0.34, 0.38, 0.42, 0.42], 30, False),  # 40 ms each: 1.2 s
+        ([0.0, 0.3, 0.34, 0.38, 0.42, 0.42], 40, True),  # 1.6 s
+        ([0.0, 0.3, 0.34, 0.38, 0.42, 0.42], 0, False),
+        ([0.0, 0.3, *(0.3 + 0.04 * n for n in range(1, 60))], 5, False),  # long at it, and soon done
+    ],
+)
+def test_other_workers_come_when_they_are_worth_their_start(
+    clock: list[float], left: int, slow: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crew = _Crew(Toil(Path()), ITEMS, 1, heard_s=clock[:-1])
+    monkeypatch.setattr(executors.time, "monotonic", lambda: clock[-1])
+    assert crew._slow(left) == slow
+
+
+def test_what_is_soon_done_starts_one_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors.os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(_Crew, "_slow", lambda crew, left: False)  # whatever the machine is at
+    done = Processes()(Toil(tmp_path), ITEMS)
+    first = next(done)
+    assert len(multiprocessing.active_children()) == 1
+    assert dict([first, *done]) == SQUARES
 
 
 @pytest.mark.deep(gate="tests/system/test_executors.py::test_what_raises_here_fails_after_its_tries")

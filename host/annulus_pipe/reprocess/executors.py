@@ -15,6 +15,7 @@ import os
 import pickle
 import signal
 import sys
+import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -38,6 +39,10 @@ STILLBORN_MOST = 3  # workers in a row that end before they can be given anythin
 M_MMAP_THRESHOLD, GIVEN_BACK = -3, 1 << 21
 M_TRIM_THRESHOLD, KEPT = -1, 1 << 24
 LEAVE_S = 5.0  # for a worker to clear away what it has begun
+# Where nobody said how many: a worker's start takes 0.6 s of a processor, as 30 frames do. Guarded by test_executors.
+FEW = 100  # items: one worker begins, the others come when they are worth their start
+SOME = 3  # outcomes that tell how long others will take
+WORTH_S = 1.5  # of work that one worker has left, or is at, for the others to come
 
 
 class Work(Protocol[ItemIn, ResultOut]):
@@ -94,7 +99,7 @@ def failure(error: Exception, tries: int) -> Failed:
 
 @dataclass(frozen=True, slots=True)
 class Processes:
-    """Worker processes on this machine, one a core where their number is None.
+    """Worker processes on this machine; where their number is None one a core, or fewer for what is soon done.
 
     tries : of an item before it has failed. apart : one worker alone is a process of its own, too, so that an item
     that kills it does not kill the command; otherwise one alone works in this process.
@@ -111,7 +116,7 @@ class Processes:
             return
         crew = _Crew(work, items, self.tries)
         try:
-            yield from crew.work(workers)
+            yield from crew.work(workers, 1 if self.workers is None and len(items) <= FEW else workers)
         finally:
             crew.leave()
 
@@ -136,12 +141,16 @@ class _Crew:
     hands: list[_Hand] = field(default_factory=list)
     tried: Counter[int] = field(default_factory=Counter)
     stillborn: int = 0
+    heard_s: list[float] = field(default_factory=list)  # when there was a worker, and then each outcome
 
-    def work(self, workers: int) -> Iterator[tuple[int, Any]]:
+    def work(self, workers: int, at_first: int) -> Iterator[tuple[int, Any]]:
         todo = deque(range(len(self.items)))
-        self.hands += [self._hired() for _ in range(workers)]
+        self.hands += [self._hired() for _ in range(at_first)]
         while todo or any(hand.at is not None for hand in self.hands):
-            heard = wait([hand.line for hand in self.hands])
+            short = len(self.hands) < workers
+            if short and self._slow(len(todo)):
+                self.hands += [self._hired() for _ in range(min(workers - len(self.hands), len(todo)))]
+            heard = wait([hand.line for hand in self.hands], WORTH_S if short else None)
             outcomes: list[tuple[int, Any]] = []
             for hand in [hand for hand in self.hands if hand.line in heard]:
                 outcome = self._heard(hand)
@@ -157,6 +166,14 @@ class _Crew:
                 if hand.alive and hand.at is None and todo:
                     self._give(hand, todo)
             yield from outcomes
+
+    def _slow(self, left: int) -> bool:
+        """Whether so many items would take the workers there are long: by the time from outcome to outcome, which the
+        first does not tell, for a worker sets itself up with it."""
+        if not left or not self.heard_s:
+            return False
+        since, done = time.monotonic() - self.heard_s[min(1, len(self.heard_s) - 1)], len(self.heard_s) - 2
+        return since > WORTH_S if done < SOME else since / done * left > WORTH_S
 
     def _hired(self) -> _Hand:
         context = multiprocessing.get_context("spawn")
@@ -179,6 +196,7 @@ class _Crew:
         except (EOFError, OSError):
             return self._dead(hand)
         hand.alive, self.stillborn = True, 0
+        self.heard_s.append(time.monotonic())
         if number is None:
             return None
         hand.at = None

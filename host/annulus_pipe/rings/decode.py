@@ -56,26 +56,33 @@ def classify(side: FloatArray, colours: str, seen: StripeColours | None = None) 
 
 class StripeNames:
     """`classify` of stripes that lie in rows blue, green, red, S times: light (3 S, C), to out (S, C); in memory that
-    is used again."""
+    is used again. candidates : of slits whose two stripes those are, listed on the way."""
 
-    def __init__(self, light: FloatArray, colours: str, seen: StripeColours | None, out: NDArray[np.uint8]) -> None:
+    def __init__(
+        self,
+        light: FloatArray,
+        colours: str,
+        seen: StripeColours | None,
+        out: NDArray[np.uint8],
+        candidates: "Candidates | None" = None,
+    ) -> None:
         used = np.array(["RGB".index(c) for c in "RGB" if c in colours], np.int64)
-        self._before = seen if seen is not None and len(seen.reference) == len(used) else None
-        self._stripes = len(light) // 3
-        self._start = np.eye(3)[used]
-        self._gain, self._reference = np.zeros(3), self._start.copy()
-        if self._before is not None:
-            self._gain[:], self._reference[:] = self._before.gain, self._before.reference
+        start, gain = np.eye(3)[used], np.zeros(3)
+        reference = start.copy()
+        self._known = seen is not None and len(seen.reference) == len(used)
+        if seen is not None and self._known:
+            gain[:], reference[:] = seen.gain, seen.reference
+        self._stripes, self._candidates = len(light) // 3, candidates
         work = np.empty((5, 2 * LEARNT_FROM + 1))
-        self._learn = _learn.held(light, ..., ..., used, BRIGHT, SHARE, work, self._gain, self._reference)
-        self._name = _name.held(light, ..., self._gain, self._reference, used, LIKENESS, out)
+        listed = (None,) * 5 if candidates is None else candidates.listed
+        asked = used, start, BRIGHT, SHARE, LIKENESS, work, gain, reference, out
+        self._name = _name.held(light, ..., ..., *asked, *listed)
 
     def name(self, size: int) -> None:
         """Of the first `size` columns."""
-        if self._before is None and size:
-            self._gain[:], self._reference[:] = 0.0, self._start
-            self._learn(size, max(1, size * self._stripes // LEARNT_FROM))
-        self._name(size)
+        self._name(size, 0 if self._known or not size else max(1, size * self._stripes // LEARNT_FROM))
+        if self._candidates is not None:
+            self._candidates.count()
 
 
 def readings(inside: NDArray[np.uint8], outside: NDArray[np.uint8], colours: str) -> NDArray[np.bool_]:
@@ -142,16 +149,28 @@ class Candidates:
         self.deviation = np.empty(most)  # of the pipe's radius, if the slit were that ring; NaN: it cannot be
         self.named = np.empty(slits, np.int64)  # by slit: its ring, or NONE
         self.chosen = np.zeros(slits, np.int32)  # .. and where in the list that is
-        self._counts = np.empty(2, np.int64)
-        listed = self.slit, self.ring, np.empty(most, np.uint8)
-        self._list = _list.held(colour, ..., pattern, *listed, self._counts)
+        self._counts, self._direction = np.empty(2, np.int64), direction
+        fits = self.slit, self.ring, np.empty(most, np.uint8)
+        self.listed = pattern, *fits, self._counts
+        self._list = _list.held(colour, ..., *self.listed)
         room = rings * min(slits, LINE_MOST)
         work = np.array([SKIP, PLACE, MARGIN]), np.empty((2, room), np.int64), np.empty((3, room))
-        self._align = _align.held(direction, ..., *listed, self.deviation, ..., ..., *work, self.named, self.chosen)
+        self._aligned = (direction, ..., *fits, self.deviation, ...), (..., ..., *work, self.named, self.chosen)
+        self.lie_at(None, None, None)
+
+    def lie_at(self, points: FloatArray | None, rotation: FloatArray | None, shift: FloatArray | None) -> None:
+        """Where they lie, (3, C) mm, camera frame, and how the pipe's frame is turned, (3, 3), and shifted against it,
+        (3,): tables that `align` takes their deviations from. Without, `deviation` holds them."""
+        before, after = self._aligned
+        self._align = _align.held(*before, points, rotation, shift, *after)
 
     def list_by_colour(self, slits: int) -> None:
-        """Those of the first `slits`; `unclear`: how many have a stripe that is UNKNOWN."""
+        """Those of the first `slits`."""
         self._list(slits)
+        self.count()
+
+    def count(self) -> None:
+        """Of what was just listed. unclear : slits that have a stripe that is UNKNOWN."""
         self.size, self.unclear = self._counts.tolist()
 
     def list_all(self, slits: int) -> None:
@@ -169,33 +188,32 @@ class Candidates:
         self.left_out = int(np.count_nonzero(ring < 0))
         return self.named[: len(ring)]
 
-    def align(self, slits: int, tolerance: float) -> NDArray[np.int64]:
-        """Ring of each of the first `slits`, or NONE, by the deviations; see `decode`. left_out : of them."""
-        self.left_out = slits - self._align(slits, self.size, tolerance)
+    def align(self, slits: int, tolerance: float, radius_mm: float = 1.0) -> NDArray[np.int64]:
+        """Ring of each of the first `slits`, or NONE, by the deviations; see `decode`. radius_mm : of the pipe that
+        they are deviations from. left_out : slits that are none."""
+        self.left_out = slits - self._align(slits, self.size, radius_mm, tolerance)
         return self.named[:slits]
 
 
-_learn = door(
-    "rings_learn",
-    "f8[r,c] light",
-    "i8 size",
-    "i8 every",
-    "i8[u] used",
-    "f8 bright",
-    "f8 share",
-    "f8[5,w]! work",
-    "f8[3]! gain",
-    "f8[u,3]! reference",
-)
 _name = door(
     "rings_name",
     "f8[r,c] light",
     "i8 size",
-    "f8[3] gain",
-    "f8[u,3] reference",
+    "i8 every",
     "i8[u] used",
+    "f8[u,3] start",
+    "f8 bright",
+    "f8 share",
     "f8 likeness",
+    "f8[5,w]! work",
+    "f8[3]! gain",
+    "f8[u,3]! reference",
     "u1[s,c]! out",
+    "u1[p]? pattern",
+    "i4[n]!? slit",
+    "i4[n]!? name",
+    "u1[n]!? fit",
+    "i8[2]!? counts",
 )
 _read = door("rings_read", "u1[n] inside", "u1[n] outside", "u1[p] pattern", "b1[n,k]! out")
 _list = door(
@@ -215,8 +233,12 @@ _align = door(
     "i4[n] slit",
     "i4[n] name",
     "u1[n] fit",
-    "f8[n] deviation",
+    "f8[n]! deviation",
     "i8 listed",
+    "f8[3,n]? points",
+    "f8[3,3]? rotation",
+    "f8[3]? shift",
+    "f8 radius",
     "f8 tolerance",
     "f8[3] prices",
     "i8[2,w]! places",

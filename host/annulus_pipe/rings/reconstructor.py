@@ -49,8 +49,8 @@ OVER_EXPOSED = 235.0  # grey levels of light, a slit's own darkness taken off
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
-# from a tolerance of the wall the ring of each slit; how many slits are left out, by reason
-_Observed = tuple[Callable[[float], NDArray[np.int64]], dict[str, int]]
+# from a pose and a tolerance of the wall the ring of each slit; how many slits are left out, by reason
+_Observed = tuple[Callable[[Pose, float], NDArray[np.int64]], dict[str, int]]
 
 
 class _Memory:
@@ -73,9 +73,9 @@ class _Memory:
         slits = self.slits
         most = len(slits.position)
         self.colour = np.empty((2, most), np.uint8)  # of the stripes inside and outside
-        self.names = StripeNames(slits.light, calibration.colours, stripes, self.colour)
         pattern = np.zeros(rings + 1, np.uint8) if of_lines else letters(calibration.colours)
         self.candidates = Candidates(slits.direction, self.colour, pattern)
+        self.names = StripeNames(slits.light, calibration.colours, stripes, self.colour, self.candidates)
         self.points = CandidatePoints(slits, self.candidates, grid, optics)
         self.ring, chosen, points = self.candidates.named, self.candidates.chosen, self.points.points
         pipe = calibration.pipe_radius_mm
@@ -168,7 +168,7 @@ class Reconstructor:
         roll_deg: float | None,
         clock: Callable[[], float],
     ) -> Profile:
-        pipe, slits, candidates = self.calibration.pipe_radius_mm, memory.slits, memory.candidates
+        slits, candidates = memory.slits, memory.candidates
         marks = [("", clock())]
 
         def mark(stage: str) -> None:
@@ -180,8 +180,7 @@ class Reconstructor:
         mark("triangulate")
         # A seed far off would make every reading implausible: then once more without.
         for first in (seed, None) if seed is not None else (None,):
-            memory.points.deviate(first or Pose(), pipe)
-            named(FIRST_TOLERANCE)
+            named(first or Pose(), FIRST_TOLERANCE)
             mark("decode")
             fitted = self._fit(memory, first, ROUGHLY)
             mark("pose")
@@ -191,8 +190,7 @@ class Reconstructor:
             rejected["no pipe"] = slits.size
             return _without_pipe(frame, z_mm, rejected, spans(marks))
         # Read again where the wall now is, and fit what that leaves.
-        memory.points.deviate(fitted.pose, pipe)
-        ring = named(WALL_TOLERANCE)
+        ring = named(fitted.pose, WALL_TOLERANCE)
         mark("decode")
         rejected["no ring"] = candidates.left_out
         memory.outliers.reject(slits.size)
@@ -207,7 +205,7 @@ class Reconstructor:
             )
         mark("outliers")
         fitted = self._fit(memory, fitted.pose) or fitted
-        pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
+        pose = fitted.pose if roll_deg is None else replace(fitted.pose, roll=math.radians(roll_deg))
         mark("pose")
         memory.rotation[:], memory.shift[:] = pose.rotation, pose.translation
         kept = memory.keep(z_mm, slits.size)
@@ -240,13 +238,10 @@ class Reconstructor:
         slits.find(unrolled)
         mark("slits")
         memory.names.name(slits.size)
-        candidates.list_by_colour(slits.size)
         mark("colours")
-
-        def named(tolerance: float) -> NDArray[np.int64]:
-            return candidates.align(slits.size, tolerance)
-
-        return named, {"crowded": slits.crowded, "shallow": slits.shallow, "colour": candidates.unclear}
+        pipe, read = self.calibration.pipe_radius_mm, memory.points.read
+        rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": candidates.unclear}
+        return lambda pose, tolerance: read(pose, pipe, tolerance), rejected
 
     def _observe_lines(self, memory: _Memory, image: Picture, mark: Callable[[str], None]) -> _Observed:
         slits, candidates = memory.slits, memory.candidates
@@ -256,7 +251,8 @@ class Reconstructor:
         memory.errors.bias_px = line_bias(lines)
         mark("lines")
 
-        def named(tolerance: float) -> NDArray[np.int64]:
+        def named(pose: Pose, tolerance: float) -> NDArray[np.int64]:
+            memory.points.deviate(pose, self.calibration.pipe_radius_mm)
             deviation = candidates.deviation[: candidates.size].reshape(slits.size, len(self._expected))
             return candidates.take(name_lines(lines.direction, strength, deviation, tolerance))
 

@@ -162,6 +162,7 @@ class CandidatePoints:
         work = np.empty(len(table.position))
         self._points = _points.held(*slits, ..., WIDEST, work, *listed, ..., *fixed)
         self._deviations = _deviations.held(self.points, ..., self._rotation, self._shift, ..., candidates.deviation)
+        candidates.lie_at(self.points, self._rotation, self._shift)
 
     def place(self) -> None:
         """Of this frame's slits and candidates."""
@@ -171,6 +172,11 @@ class CandidatePoints:
         """`deviations` of all candidates, of a pipe that lies so."""
         self._rotation[:], self._shift[:] = pose.rotation, pose.translation
         self._deviations(self._candidates.size, radius_mm)
+
+    def read(self, pose: Pose, radius_mm: float, tolerance: float) -> NDArray[np.int64]:
+        """`deviate`, and `Candidates.align` by that."""
+        self._rotation[:], self._shift[:] = pose.rotation, pose.translation
+        return self._candidates.align(self._table.size, tolerance, radius_mm)
 
 
 _OPTICS = (

@@ -115,8 +115,10 @@ class PointErrors:
 
     def of_rings(self) -> NDArray[np.float32]:
         """(K, 2), see `point_sigma`."""
-        fixed = np.hypot(self.bias_px * self._mm_per_px, self._calibrated_mean)
-        return np.stack([self._drawn, fixed], axis=1).astype(np.float32)
+        out = np.empty((len(self._drawn), 2), np.float32)
+        out[:, 0] = self._drawn
+        out[:, 1] = np.hypot(self.bias_px * self._mm_per_px, self._calibrated_mean)
+        return out
 
 
 def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) -> FloatArray:
