@@ -16,10 +16,13 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.shipped import UNIT, shipped
+from annulus_pipe.numeric.native import LEVELS, level
+from annulus_pipe.shipped import LOOPS, UNIT, shipped
 from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, libraries
 
-LEVELS = {"x86_64": ("x86-64-v2", "x86-64-v3", "x86-64-v4"), "aarch64": ("armv8-a",)}
+LEVELS_OF = {
+    machine: [name for level, name in LEVELS.items() if (level == 0) == (machine == "aarch64")] for machine in MACHINES
+}
 
 pytestmark = pytest.mark.deep(
     gate="tests/unit/test_extras.py::test_every_room_and_command_is_imported_without_any_extra"
@@ -64,6 +67,7 @@ def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: P
     names = set(zipfile.ZipFile(wheel).namelist())
     shipped_files = (
         "libannulus_native.so",
+        *(f"{LOOPS}{level}.so" for level in LEVELS_OF[platform.machine()]),
         "annulus.uf2",
         "annulus-rp2350.uf2",
         "99-annulus.rules",
@@ -86,7 +90,10 @@ def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: P
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_library_runs_where_glibc_is_of_2_17(machine: str, tmp_path: Path) -> None:
     made = libraries(ROOT, machine, tmp_path)
-    assert [one.name for one in made] == ["libannulus_native.so", *(f"loops-{level}.so" for level in LEVELS[machine])]
+    assert [one.name for one in made] == [
+        "libannulus_native.so",
+        *(f"loops-{level}.so" for level in LEVELS_OF[machine]),
+    ]
     for library in made:
         assert (2, 0) < glibc_needed(library) <= GLIBC
         head = library.read_bytes()[:20]
@@ -122,6 +129,15 @@ def test_what_only_a_checkout_has_is_one_line(annulus: Run) -> None:
     assert emulated.stderr.count("\n") == 1
 
 
+def test_a_scan_is_drawn_and_measured(annulus: Run) -> None:
+    """The loops, with no compiler to be found and none to wait for."""
+    drawn = annulus("twin", "scan", "--world", "clean", "--frames", "10", "-o", "scan")
+    assert drawn.returncode == 0, drawn.stderr
+    done = annulus("reconstruct", "scan", "--calibration", "scan/calibration.json", "--workers", "1", "-o", "results")
+    assert done.returncode == 0, done.stderr
+    assert "report.html" in done.stdout
+
+
 def test_doctor_says_what_is_installed_and_where_the_rule_is(annulus: Run) -> None:
     where = Path(annulus("doctor", "--where").stdout.strip())
     assert (where / "99-annulus.rules").is_file() and (where / "annulus.service").is_file()
@@ -129,7 +145,7 @@ def test_doctor_says_what_is_installed_and_where_the_rule_is(annulus: Run) -> No
     rows = {row["what"]: row for row in json.loads(said.stdout)}
     assert (said.returncode == 1) == any(row["ok"] is False for row in rows.values())
     assert rows["annulus"]["ok"] and rows["simulation"]["ok"] and rows["image"]["ok"]
-    assert rows["compiled"]["ok"] is None and "have doctor compile it" in rows["compiled"]["text"]
+    assert rows["loops"]["ok"] and level() in rows["loops"]["text"]
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")

@@ -1,6 +1,7 @@
 """The house keeps its own rules: rooms, floors, sizes, and a map of it that is true."""
 
 import ast
+import gc
 import re
 import subprocess
 import tomllib
@@ -29,7 +30,9 @@ def sources() -> list[Path]:
 
 @cache
 def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+    parsed = ast.parse(path.read_text(encoding="utf-8"))
+    gc.freeze()  # millions of nodes that stay: the collector went through them again and again, twice the time
+    return parsed
 
 
 def is_generated(text: str) -> bool:
@@ -171,6 +174,28 @@ def test_no_file_of_the_package_needs_one_that_needs_it() -> None:
     needs = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
     assert sum(map(len, needs.values())) > 1000
     TopologicalSorter(needs).prepare()  # CycleError names the circle
+
+
+COMPILERS = {"gcc", "g++", "cc", "c++", "clang", "ld", "make", "cmake", "numba", "cffi", "cython", "distutils"}
+
+
+def test_nothing_of_the_package_compiles() -> None:
+    """Who has a wheel has no compiler, and waits for none (tests/system/test_wheel.py tries it)."""
+    compiling = []
+    for path in sorted(ROOMS.rglob("*.py")):
+        for node in ast.walk(tree(path)):
+            match node:
+                case ast.Constant(value=str(word)):
+                    words = {word.rpartition("/")[2]}
+                case ast.Import(names=names) | ast.ImportFrom(module=None, names=names):
+                    words = {alias.name.partition(".")[0] for alias in names}
+                case ast.ImportFrom(module=str(module)):
+                    words = {module.partition(".")[0]}
+                case _:
+                    continue
+            if words & COMPILERS:
+                compiling.append(f"{path.relative_to(ROOT)}:{node.lineno}: {words}")
+    assert not compiling
 
 
 def names_in(module: str) -> set[str]:

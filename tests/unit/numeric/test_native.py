@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from annulus_pipe.numeric.native import DOORS, LoopDoor
 from annulus_pipe.shipped import BUILD, shipped
 from annulus_pipe.shipped import NATIVE as NATIVE_LIBRARY
 from annulus_pipe.vocabulary import AnnulusError
+from tools.wheel import hook
+from tools.wheel.hook import MACHINES
 
 NATIVE = Path(__file__).resolve().parents[3] / "host/native"
 OF_C = {
@@ -109,6 +112,18 @@ def test_a_wheel_in_an_environment_within_a_checkout_is_not_held_to_its_sources(
     assert native.sources.__wrapped__()
     monkeypatch.setattr(native, "is_shipped", lambda name: name == BUILD)
     assert native.sources.__wrapped__() == ""
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_a_wheel_has_a_library_of_every_level_of_its_machine(machine: str, tmp_path: Path, monkeypatch) -> None:
+    """What `make` says that it would build for the hook, which ships all that is built: tests/system/test_wheel.py."""
+    ran: list[tuple[str, ...]] = []
+    monkeypatch.setattr(hook, "_run", lambda *command: ran.append(command))
+    hook.libraries(NATIVE.parents[1], machine, tmp_path)
+    (loops,) = (command for command in ran if str(NATIVE) in command)
+    dry = subprocess.run([*loops, "--dry-run", "--always-make"], capture_output=True, text=True, check=True).stdout
+    levels = {name for level, name in native.LEVELS.items() if (level == 0) == (machine == "aarch64")}
+    assert set(re.findall(r"-shared .* -o \S*/loops-([\w-]+)\.so", dry)) == levels
 
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.99])

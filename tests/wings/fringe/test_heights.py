@@ -171,3 +171,13 @@ def test_what_cannot_be_measured_is_refused_in_one_line() -> None:
     lens = Camera("pinhole", 320, 120, 300.0, 300.0, 159.5, 59.5, (0.0,) * 7 + (0.1,))
     with pytest.raises(AnnulusError, match="8 coefficients"):
         view(EVEN, replace(LEFT, camera=lens))
+
+
+def test_a_point_whose_samples_led_nowhere_is_begun_again_from_its_neighbours_with_its_own_samples() -> None:
+    grid = Points.plate(np.arange(0.0, 12.0, 0.5), np.arange(-12.0, 12.0, 0.5), DISTANCE_MM)
+    h = np.linspace(-2.0, 2.0, len(grid.base))
+    samples = np.stack([100 + 70 * np.cos(SLIDE.phase(grid.at(h) - [s, 0, 0])) for s in UNEVEN])
+    start, lost = np.zeros(len(h)), [300, 700]
+    start[lost] = DISTANCE_MM - 1.0  # a mm before the head
+    found = heights(view(UNEVEN), samples[..., None], grid, start, tolerance_mm=1e-9)
+    np.testing.assert_allclose(found.height_mm, h, atol=1e-6)

@@ -7,6 +7,7 @@ them is held against the twin's own wall; where the ray-traced scene pipe-a is t
 in colour, recorded as they are and as the mosaic that a sensor would have had of them.
 """
 
+import functools
 import json
 import subprocess
 import sys
@@ -16,13 +17,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
+import zstandard
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.writer import CompressionType
+from mcap_protobuf.writer import Writer as McapWriter
 from numpy.typing import NDArray
 
 from annulus_pipe.daemon.recorder import RecorderJob
 from annulus_pipe.record.codec import Codec
+from annulus_pipe.record.container import ZSTD_LEVEL
 from annulus_pipe.record.recording import open_recording
 from annulus_pipe.record.viewers import preview
 from annulus_pipe.record.writer import RecordingWriter
@@ -41,7 +48,9 @@ from tools.bench.table import SCENES, Row
 FRAMES, FPS = 30, 25.0
 CPU_MS = {Codec.RAW: 2.0, Codec.ZSTD: 5.0, Codec.JPEG: 20.0}  # a frame, on one core; at 25 fps there are 40
 SHARE = {Codec.RAW: 5.0, Codec.ZSTD: 15.0, Codec.JPEG: 50.0}  # percent of a core, of the recorder, with its previews
+OF_MCAP = 0.6  # of the processor of mcap's own writer at the same level; measured 0.45
 WORSE_MM = 0.005  # of radius RMS, than what the same frames give as they are
+MCAP_LEVEL = 3  # of zstd, which mcap's writer takes
 PIPE_A = SCENES / "pipe-a"
 
 Image = NDArray[np.uint8]
@@ -105,6 +114,7 @@ def rows() -> list[Row]:
             path.unlink()
         out += [_of_recorder(folder, shots, codec) for codec in Codec]
         out.append(_of_preview(shots))
+        out += [_beside_mcap(folder, shots, level) for level in (ZSTD_LEVEL, MCAP_LEVEL)]
         if PIPE_A.is_dir():
             out += _pipe_a(folder)
     return out
@@ -172,6 +182,37 @@ def _of_recorder(folder: Path, shots: Sequence[Shot], codec: Codec) -> Row:
     job.close()
     told = f"{share:.1f} % of a core"
     return Row(f"{codec}: the recorder, previews and all", "-", f"<= {SHARE[codec]:g} %", told, share <= SHARE[codec])
+
+
+def _beside_mcap(folder: Path, shots: Sequence[Shot], level: int) -> Row:
+    """The same messages by the writer of the mcap package, without our labels, in turn with ours at level 1."""
+    ours, theirs = [], []
+    for _ in range(3):
+        own, other = folder / "ours.mcap", folder / "theirs.mcap"
+        ours.append(_record(own, shots, {}, Codec.ZSTD))
+        theirs.append(_by_mcap(other, shots, level))
+        own.unlink()
+    (own_ms, own_bytes), (other_ms, bytes_there) = min(ours), min(theirs)
+    told = f"{own_ms:.1f} ms to {other_ms:.1f}, {own_ms / other_ms:.2f} of it; "
+    told += f"{own_bytes / 1e3:.0f} kB to {bytes_there / 1e3:.0f}"
+    what = f"zstd: a frame, beside mcap's own writer at zstd's level {level}"
+    return Row(what, "-", f"<= {OF_MCAP:g} of it", told, own_ms <= OF_MCAP * other_ms)
+
+
+def _by_mcap(path: Path, shots: Sequence[Shot], level: int) -> tuple[float, float]:
+    """ms of processor and bytes, a frame."""
+    packed = functools.partial(zstandard.compress, level=level)  # its writer takes no level
+    with path.open("wb") as file, mock.patch("mcap.writer.zstandard.compress", packed):
+        writer = McapWriter(file, compression=CompressionType.ZSTD)
+        began = time.process_time()
+        for shot in shots:
+            height, width = shot.image.shape[:2]
+            stamp_ns = shot.index * 10**7
+            pixels = RawImage(width=width, height=height, encoding=shot.encoding, step=width, data=shot.image.tobytes())
+            writer.write_message("/frame/0", pixels, stamp_ns, stamp_ns)
+        cost_ms = 1e3 * (time.process_time() - began) / len(shots)
+        writer.finish()
+    return cost_ms, path.stat().st_size / len(shots)
 
 
 def _of_preview(shots: Sequence[Shot]) -> Row:

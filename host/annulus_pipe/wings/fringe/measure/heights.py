@@ -256,6 +256,11 @@ def _run(
     return Heights(*outcome, left)
 
 
+def _of(images: Float32Array, which: BoolArray | IntArray) -> Float32Array:
+    """What some of the points are read from: the frames, or the samples that are theirs."""
+    return images if images.shape[2] > 1 else images[:, which]
+
+
 def _rows(vectors: FloatArray) -> FloatArray:
     """(P, 3), or (1, 3) where one stands for all."""
     return vectors[:1] if vectors.strides[0] == 0 else vectors
@@ -275,7 +280,7 @@ def _again(view: FringeView, images: Float32Array, points: Points, found: Height
         which, start = which[np.isfinite(start)], start[np.isfinite(start)]
         if not len(which):
             break
-        some = _run(view, images, points.some(which), start, fit)
+        some = _run(view, _of(images, which), points.some(which), start, fit)
         if not (some.flag == GOOD).any():
             break
         for name in NAMES:
@@ -302,7 +307,7 @@ def _order(
             start = first + k * spacing
             which = (start > low - CONTINUOUS * spacing) & (start < high + CONTINUOUS * spacing)
         if which.any():
-            some = _run(view, images, points.some(which), start[which], fit)
+            some = _run(view, _of(images, which), points.some(which), start[which], fit)
             candidates.append(_spread(some, which))
     h = np.stack([one.height_mm for one in candidates])
     with np.errstate(invalid="ignore"):
