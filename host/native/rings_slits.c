@@ -263,17 +263,23 @@ static void dark_ones(const float shallow, const int64_t first, float* const wor
     memcpy(work, slits->depth, (size_t)slits->size * sizeof *work);
     const float limit = shallow * middle_f(work, slits->size);
     int64_t kept = 0;
-    for (int64_t s = 0; s < slits->size; s++) {
+    while (kept < slits->size && slits->depth[kept] >= limit) {
+        kept++;  // most frames have none that is not
+    }
+    for (int64_t s = kept; s < slits->size; s++) {
         if (!(slits->depth[s] >= limit)) {
             continue;
         }
         slits->direction[kept] = slits->direction[s];
-        slits->place[kept] = slits->place[s] + (double)first;
+        slits->place[kept] = slits->place[s];
         slits->width[kept] = slits->width[s];
         slits->blur[kept] = slits->blur[s];
         slits->depth[kept] = slits->depth[s];
         memmove(slits->samples + 5 * kept, slits->samples + 5 * s, 5 * sizeof *slits->samples);
         kept++;
+    }
+    for (int64_t s = 0; s < kept; s++) {
+        slits->place[s] += (double)first;
     }
     slits->size = kept;
 }
@@ -286,7 +292,7 @@ static void dark_ones(const float shallow, const int64_t first, float* const wor
 DOOR void rings_find(const uint8_t* const image, const int64_t phase, const uint8_t* const top,
                      const int64_t* const stop, const int64_t first, const int64_t m, const float* const taps,
                      const float* const limits, const int64_t per_line, const int64_t clear, const int64_t beside,
-                     const float shallow, const int64_t* const ways, float* const work, uint8_t* const marks,
+                     const float shallow, const double* const ways, float* const work, uint8_t* const marks,
                      float* const depths, int64_t* const direction, double* const place, double* const width,
                      double* const blur, float* const depth, int32_t* const samples, double* const light,
                      double* const bright, int64_t* const counts, const int64_t h, const int64_t w, const int64_t b,

@@ -8,6 +8,7 @@
 #include "native.h"
 
 enum { LANES = 8 };
+static const double ROUNDING = 1.000001;  // of sums of the same weights in another order, by far
 
 // Adds what a run of points says of one: who is another frame's, what all of those weigh, and what those weigh that
 // see the same radius.
@@ -38,6 +39,28 @@ INLINE void heard(const double* const frame, const double* const radius, const d
 INLINE double total(const double lanes[LANES])
 {
     return ((lanes[0] + lanes[1]) + (lanes[2] + lanes[3])) + ((lanes[4] + lanes[5]) + (lanes[6] + lanes[7]));
+}
+
+// Whether what a run of points says of one is enough, wherever all others about it stand: whose weights that see its
+// radius come to `enough`.
+INLINE bool agreed(const double* const frame, const double* const radius, const double* const weight,
+                   const int64_t begin, const int64_t end, const double own, const double at, const double slack,
+                   const double enough)
+{
+    double sum = 0.0;
+    for (int64_t q = begin; q < end; q += LANES) {
+        double agree[LANES] = {0};
+        const int64_t size = least(LANES, end - q);
+        for (int64_t i = 0; i < size; i++) {
+            const double apart = radius[q + i] - at;
+            agree[i] = (frame[q + i] != own) & (apart <= slack) & (apart >= -slack) ? weight[q + i] : 0.0;
+        }
+        sum += total(agree);
+        if (sum >= enough) {
+            return true;
+        }
+    }
+    return false;
 }
 
 // good (n,): not contradicted. cell (n,) of a grid r x k; frame, radius, weight (n,) of each point. Contradicted is who
@@ -79,7 +102,22 @@ DOOR void wall_votes(const int64_t* const cell, const double* const frame, const
         const int64_t low = most(row - 1, 0), high = least(row + 2, rows);
         for (int64_t column = 0; column < columns; column++) {
             const int64_t own = row * columns + column;
+            double most_of_all = 0.0;  // that the weight of all others can be
+            for (int64_t r = low; r < high && first[own] < first[own + 1]; r++) {
+                for (int64_t step = -1; step <= 1; step++) {
+                    const int64_t beside = r * columns + around(column + step, columns);
+                    for (int64_t q = first[beside]; q < first[beside + 1]; q++) {
+                        most_of_all += weights[q];
+                    }
+                }
+            }
+            const int64_t* const same = first + row * columns;
             for (int64_t p = first[own]; p < first[own + 1]; p++) {
+                if (agreed(frames, radii, weights, same[most(column - 1, 0)], same[least(column + 2, columns)],
+                           frames[p], radii[p], slack, ROUNDING * part * most_of_all)) {
+                    good[order[p]] = true;
+                    continue;
+                }
                 double others[LANES] = {0}, all[LANES] = {0}, agree[LANES] = {0};
                 for (int64_t r = low; r < high; r++) {
                     const int64_t* const line = first + r * columns;

@@ -1,9 +1,23 @@
 // What every point of a scan is to the pipe and to the other frames: how far it lies off the shape, and which points of
 // neighbouring frames look at the same spot.
 
-#include "native.h"
+#include "mathematics.h"
 
 enum { SHAPE = 5 };
+static const double DEGREES = 57.295779513082321;  // a radian
+
+// Radius, angle and z (3, n) of points (n, 3) about the axis. The angle is that of (x, y), radians from -pi to pi, or
+// that of the clock: degrees from 0 to 360, of (-y, x).
+DOOR void round_axis(const float* const points, const bool clock, double* const out, const int64_t n)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const double x = (double)points[3 * i], y = (double)points[3 * i + 1];
+        const double angle = arc_tangent(clock ? x : y, clock ? -y : x), degrees = DEGREES * angle;
+        out[i] = sqrt(x * x + y * y);
+        out[n + i] = !clock ? angle : degrees < 0.0 ? degrees + 360.0 : degrees;
+        out[2 * n + i] = (double)points[3 * i + 2];
+    }
+}
 
 // radius and departure (n,) of points (n, 3) from the shape (z, 5) at stations (z,), rising; before the first and
 // beyond the last it is theirs. With c = cos t = -y/r and s = sin t = x/r the shape is s0 + s1 c + s2 s + s3 (c^2 -

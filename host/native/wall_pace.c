@@ -5,16 +5,60 @@
 // one, both over what was seen. Likeness is a correlation, of which the six sums are taken here, sector by sector;
 // those of products are sums of products in single precision.
 
-#include "native.h"
+#include "lanes.h"
 #include "selection.h"
 
-enum { SUMS = 6, BLOCK = 8 };
+enum { SUMS = 6, BLOCK = 8, RUN = 2 * AT_ONCE };
+typedef float Run __attribute__((vector_size(4 * RUN)));
 
 // Place of a row or column that is reflected at the ends, both of which are counted twice.
 INLINE int64_t mirrored(const int64_t at, const int64_t size)
 {
+    if (at >= 0 && at < size) {
+        return at;
+    }
     const int64_t turn = 2 * size, there = at < 0 ? turn - 1 - (-at - 1) % turn : at % turn;
     return there < size ? there : turn - 1 - there;
+}
+
+// One value of the average along the rows, from `at` on, or of RUN values beside one another.
+INLINE void add_rows(const float* const field, const float* const half, float* const out, const int64_t r,
+                     const int64_t a, const int64_t k, const bool many)
+{
+    for (int64_t row = 0; row < r; row++) {
+        Run sum = {0.0F}, before, after;
+        const bool is_inner = row >= k - 1 && row + k <= r;
+        for (int64_t step = 0; step < k; step++) {
+            const float* const low = field + (is_inner ? row - step : mirrored(row - step, r)) * a;
+            const float* const high = field + (is_inner ? row + step : mirrored(row + step, r)) * a;
+            if (!many) {
+                sum[0] += half[step] * (step ? *low + *high : *low);
+            } else {
+                memcpy(&before, low, sizeof before);
+                memcpy(&after, high, sizeof after);
+                sum += half[step] * (step ? before + after : before);
+            }
+        }
+        memcpy(out + row * a, &sum, many ? sizeof sum : sizeof sum[0]);
+    }
+}
+
+// The same along a row, of a line that begins m values before the first.
+INLINE void add_beside(const float* const line, const float* const beside, float* const out, const int64_t m,
+                       const bool many)
+{
+    Run sum = {0.0F}, before, after;
+    for (int64_t step = 0; step < m; step++) {
+        const float *const low = line + m - step, *const high = line + m + step;
+        if (!many) {
+            sum[0] += beside[step] * (step ? *low + *high : *low);
+        } else {
+            memcpy(&before, low, sizeof before);
+            memcpy(&after, high, sizeof after);
+            sum += beside[step] * (step ? before + after : before);
+        }
+    }
+    memcpy(out, &sum, many ? sizeof sum : sizeof sum[0]);
 }
 
 // field (r, a) averaged by a bell of `half` (k,) weights from its middle out along the columns, then one of `beside`
@@ -26,32 +70,23 @@ DOOR void bell_averaged(const float* const field, const float* const half, const
     if (r < 1 || a < 1 || k < 1 || m < 1 || b < a + 2 * m) {
         return;
     }
-    for (int64_t row = 0; row < r; row++) {
-        float* const sum = middle_field + row * a;
-        for (int64_t i = 0; i < a; i++) {
-            sum[i] = half[0] * field[row * a + i];
-        }
-        for (int64_t step = 1; step < k; step++) {
-            const float* const before = field + mirrored(row - step, r) * a;
-            const float* const after = field + mirrored(row + step, r) * a;
-            for (int64_t i = 0; i < a; i++) {
-                sum[i] += half[step] * (before[i] + after[i]);
-            }
-        }
+    const int64_t whole_runs = a / RUN * RUN;
+    for (int64_t at = 0; at < whole_runs; at += RUN) {
+        add_rows(field + at, half, middle_field + at, r, a, k, true);
+    }
+    for (int64_t at = whole_runs; at < a; at++) {
+        add_rows(field + at, half, middle_field + at, r, a, k, false);
     }
     for (int64_t row = 0; row < r; row++) {
         const float* const from = middle_field + row * a;
-        float* const sum = out + row * a;
         for (int64_t i = -m; i < a + m; i++) {
             line[i + m] = from[mirrored(i, a)];
         }
-        for (int64_t i = 0; i < a; i++) {
-            sum[i] = beside[0] * line[i + m];
+        for (int64_t at = 0; at < whole_runs; at += RUN) {
+            add_beside(line + at, beside, out + row * a + at, m, true);
         }
-        for (int64_t step = 1; step < m; step++) {
-            for (int64_t i = 0; i < a; i++) {
-                sum[i] += beside[step] * (line[i + m - step] + line[i + m + step]);
-            }
+        for (int64_t at = whole_runs; at < a; at++) {
+            add_beside(line + at, beside, out + row * a + at, m, false);
         }
     }
 }
@@ -95,6 +130,65 @@ INLINE void add_block(const float* const one, const float* const other, const fl
     }
 }
 
+// Whether all of BLOCK columns was seen.
+INLINE bool all_seen(const float* const seen, const int64_t rows, const int64_t a)
+{
+    float least_seen[BLOCK];
+    for (int64_t i = 0; i < BLOCK; i++) {
+        least_seen[i] = 1.0F;
+    }
+    for (int64_t row = 0; row < rows; row++) {
+        for (int64_t i = 0; i < BLOCK; i++) {
+            least_seen[i] = least_seen[i] < seen[row * a + i] ? least_seen[i] : seen[row * a + i];
+        }
+    }
+    bool all = true;
+    for (int64_t i = 0; i < BLOCK; i++) {
+        all &= least_seen[i] > 0.0F;
+    }
+    return all;
+}
+
+// The same of BLOCK columns of which all was seen: nothing but the products is another sum under another shift; what
+// the shifted strip shows is summed once, and from then on less what goes and with what comes.
+INLINE void add_seen(const float* const one, const float* const other, const int64_t rows, const int64_t a,
+                     const int64_t shifts, double* const sums)
+{
+    double of_one[2][BLOCK] = {{0.0}}, of_other[2][BLOCK] = {{0.0}};
+    for (int64_t row = 0; row < rows; row++) {
+        for (int64_t i = 0; i < BLOCK; i++) {
+            const float x = one[row * a + i], y = other[row * a + i];
+            of_one[0][i] += (double)x;
+            of_one[1][i] += (double)(x * x);
+            of_other[0][i] += (double)y;
+            of_other[1][i] += (double)(y * y);
+        }
+    }
+    for (int64_t shift = 0; shift < shifts; shift++) {
+        const float* const moved = other + shift * a;
+        double products[BLOCK] = {0.0};
+        for (int64_t row = 0; row < rows; row++) {
+            for (int64_t i = 0; i < BLOCK; i++) {
+                products[i] += (double)(one[row * a + i] * moved[row * a + i]);
+            }
+        }
+        double* const own = sums + shift * SUMS * a;
+        for (int64_t i = 0; i < BLOCK; i++) {
+            own[i] = (double)rows;
+            own[a + i] = of_one[0][i];
+            own[2 * a + i] = of_other[0][i];
+            own[3 * a + i] = of_one[1][i];
+            own[4 * a + i] = of_other[1][i];
+            own[5 * a + i] = products[i];
+        }
+        for (int64_t i = 0; i < (shift + 1 < shifts ? BLOCK : 0); i++) {
+            const float gone = moved[i], come = moved[rows * a + i];
+            of_other[0][i] += (double)come - (double)gone;
+            of_other[1][i] += (double)(come * come) - (double)(gone * gone);
+        }
+    }
+}
+
 // Sums (d, 6, a) of what both of two strips show under each of d shifts, column by column: how much that is, x, y, x x,
 // y y and x y. one (r, a) is held against `other` (q, a) from its row 0, 1, .. d - 1 on; NaN: not seen. Both are
 // changed: NaN becomes 0. seen_one, seen_other: room.
@@ -112,14 +206,18 @@ DOOR void strip_sums(float* const one, float* const other, float* const seen_one
         seen_other[i] = isfinite(other[i]) ? 1.0F : 0.0F;
         other[i] = isfinite(other[i]) ? other[i] : 0.0F;
     }
-    for (int64_t begin = 0; begin < a; begin += BLOCK) {
+    for (int64_t at = 0; at < a; at += BLOCK) {
+        if (a - at >= BLOCK && all_seen(seen_one + at, r, a) && all_seen(seen_other + at, r + d - 1, a)) {
+            add_seen(one + at, other + at, r, a, d, sums + at);
+            continue;
+        }
         for (int64_t shift = 0; shift < d; shift++) {
-            const int64_t there = shift * a + begin;
-            double* const own = sums + shift * SUMS * a + begin;
-            if (a - begin >= BLOCK) {
-                add_block(one + begin, other + there, seen_one + begin, seen_other + there, r, a, BLOCK, own);
+            const int64_t there = shift * a + at;
+            double* const own = sums + shift * SUMS * a + at;
+            if (a - at >= BLOCK) {
+                add_block(one + at, other + there, seen_one + at, seen_other + there, r, a, BLOCK, own);
             } else {
-                add_block(one + begin, other + there, seen_one + begin, seen_other + there, r, a, a - begin, own);
+                add_block(one + at, other + there, seen_one + at, seen_other + there, r, a, a - at, own);
             }
         }
     }

@@ -5,67 +5,111 @@
 
 #include "native.h"
 
-enum { CHANNELS = 3 };
-
+enum { CHANNELS = 3, BLOCK = 64 };  // places looked up at a time: the image is far larger than what is near at hand
 typedef struct {
-    int64_t first;  // of the image's bytes, the upper left pixel of four
-    float right, down;
-    bool inside;
-} Place;
+    int64_t first[BLOCK];  // of the image's bytes, the upper left pixel of four
+    float right[BLOCK], down[BLOCK];
+} Places;
 
-INLINE Place place_of(const double* const pixel, const int64_t h, const int64_t w)
+// Where a block of pixels (n, 2) lies, of those that do not lie in the image some place in it; what they need of the
+// image is asked for meanwhile.
+INLINE void places_of(const uint8_t* const image, const double* const pixels, const int64_t size, Places* const to,
+                      bool* const inside, const int64_t h, const int64_t w)
 {
-    Place out = {0, 0.0F, 0.0F, false};
-    const double x = pixel[0], y = pixel[1];
-    if (x >= 1.0 && x <= (double)(w - 2) && y >= 1.0 && y <= (double)(h - 2)) {
-        const float at = (float)x, below = (float)y;
+    const double right_most = (double)(w - 2), down_most = (double)(h - 2);
+    for (int64_t i = 0; i < size; i++) {
+        const double x = pixels[2 * i], y = pixels[2 * i + 1];
+        inside[i] = (x >= 1.0) & (x <= right_most) & (y >= 1.0) & (y <= down_most);
+        const float at = (float)held(x, 0.0, right_most), below = (float)held(y, 0.0, down_most);
         const int64_t column = least((int64_t)at, w - 2), row = least((int64_t)below, h - 2);
-        out.first = CHANNELS * (row * w + column);
-        out.right = at - (float)column;
-        out.down = below - (float)row;
-        out.inside = true;
+        to->first[i] = CHANNELS * (row * w + column);
+        to->right[i] = at - (float)column;
+        to->down[i] = below - (float)row;
     }
-    return out;
+    for (int64_t i = 0; i < size; i++) {
+        __builtin_prefetch(image + to->first[i]);
+        __builtin_prefetch(image + to->first[i] + CHANNELS * w);
+    }
 }
 
-INLINE float between(const Place* const at, const float a, const float b, const float c, const float d)
+// What the four pixels about each place of a block show: upper left, upper right, lower left, lower right.
+typedef struct {
+    uint8_t of[4][CHANNELS][BLOCK];
+} Corners;
+
+INLINE void corners_of(const uint8_t* const image, const Places* const at, const int64_t size, Corners* const to,
+                       const int64_t w)
 {
-    const float upper = a + at->right * (b - a), lower = c + at->right * (d - c);
-    return upper + at->down * (lower - upper);
+    for (int64_t i = 0; i < size; i++) {
+        const uint8_t *const upper = image + at->first[i], *const lower = upper + CHANNELS * w;
+        for (int64_t k = 0; k < CHANNELS; k++) {
+            to->of[0][k][i] = upper[k];
+            to->of[1][k][i] = upper[CHANNELS + k];
+            to->of[2][k][i] = lower[k];
+            to->of[3][k][i] = lower[CHANNELS + k];
+        }
+    }
 }
 
-INLINE uint8_t brightest(const uint8_t* const pixel)
+INLINE float between(const Places* const at, const int64_t i, const float a, const float b, const float c,
+                     const float d)
 {
-    const uint8_t more = pixel[0] > pixel[1] ? pixel[0] : pixel[1];
-    return more > pixel[2] ? more : pixel[2];
+    const float upper = a + at->right[i] * (b - a), lower = c + at->right[i] * (d - c);
+    return upper + at->down[i] * (lower - upper);
 }
 
 // The colours (n, 3) of an image at pixels (n, 2), and which of those lie in it with all about them.
 DOOR void colours_at(const uint8_t* const image, const double* const pixels, uint8_t* const colour, bool* const inside,
                      const int64_t h, const int64_t w, const int64_t n)
 {
-    for (int64_t i = 0; i < (h > 0 && w > 0 ? n : 0); i++) {
-        const Place at = place_of(pixels + 2 * i, h, w);
-        inside[i] = at.inside;
-        const uint8_t *const p = image + at.first, *const q = p + (at.inside ? CHANNELS * w : 0);
-        const int64_t next = at.inside ? CHANNELS : 0;
+    Places at;
+    Corners corners;
+    uint8_t out[CHANNELS][BLOCK];
+    for (int64_t begin = 0; begin < (h > 2 && w > 2 ? n : 0); begin += BLOCK) {
+        const int64_t size = least(BLOCK, n - begin);
+        places_of(image, pixels + 2 * begin, size, &at, inside + begin, h, w);
+        corners_of(image, &at, size, &corners, w);
         for (int64_t k = 0; k < CHANNELS; k++) {
-            const float value = between(&at, p[k], p[k + next], q[k], q[k + next]);
-            colour[CHANNELS * i + k] = (uint8_t)rintf(value);
+            for (int64_t i = 0; i < size; i++) {
+                const float value =
+                    between(&at, i, corners.of[0][k][i], corners.of[1][k][i], corners.of[2][k][i], corners.of[3][k][i]);
+                out[k][i] = (uint8_t)rintf(value);
+            }
+        }
+        for (int64_t i = 0; i < size; i++) {
+            for (int64_t k = 0; k < CHANNELS; k++) {
+                colour[CHANNELS * (begin + i) + k] = out[k][i];
+            }
         }
     }
+}
+
+INLINE uint8_t brightest(const uint8_t one, const uint8_t two, const uint8_t three)
+{
+    const uint8_t more = one > two ? one : two;
+    return more > three ? more : three;
 }
 
 // The same of the brightest channel of each pixel.
 DOOR void light_at(const uint8_t* const image, const double* const pixels, float* const light, bool* const inside,
                    const int64_t h, const int64_t w, const int64_t n)
 {
-    for (int64_t i = 0; i < (h > 0 && w > 0 ? n : 0); i++) {
-        const Place at = place_of(pixels + 2 * i, h, w);
-        inside[i] = at.inside;
-        const uint8_t *const p = image + at.first, *const q = p + (at.inside ? CHANNELS * w : 0);
-        const int64_t next = at.inside ? CHANNELS : 0;
-        light[i] = between(&at, brightest(p), brightest(p + next), brightest(q), brightest(q + next));
+    Places at;
+    Corners corners;
+    for (int64_t begin = 0; begin < (h > 2 && w > 2 ? n : 0); begin += BLOCK) {
+        const int64_t size = least(BLOCK, n - begin);
+        places_of(image, pixels + 2 * begin, size, &at, inside + begin, h, w);
+        corners_of(image, &at, size, &corners, w);
+        for (int64_t corner = 0; corner < 4; corner++) {
+            uint8_t(*const of)[BLOCK] = corners.of[corner];
+            for (int64_t i = 0; i < size; i++) {
+                of[0][i] = brightest(of[0][i], of[1][i], of[2][i]);
+            }
+        }
+        for (int64_t i = 0; i < size; i++) {
+            light[begin + i] =
+                between(&at, i, corners.of[0][0][i], corners.of[1][0][i], corners.of[2][0][i], corners.of[3][0][i]);
+        }
     }
 }
 
@@ -81,7 +125,7 @@ DOOR void add_colours(const uint8_t* const colour, const bool* const inside, con
         }
         for (int64_t i = row * a; i < (row + 1) * a; i++) {
             const uint8_t* const own = colour + CHANNELS * i;
-            if (!inside[i] || !((double)brightest(own) > black)) {
+            if (!inside[i] || !((double)brightest(own[0], own[1], own[2]) > black)) {
                 continue;
             }
             for (int64_t k = 0; k < CHANNELS; k++) {

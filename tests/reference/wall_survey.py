@@ -40,6 +40,12 @@ def shape_departures(points: FloatArray, stations: FloatArray, shape: FloatArray
     return np.hypot(x, y), np.hypot(x, y) - at
 
 
+def round_axis(points: FloatArray, clock: bool) -> FloatArray:
+    """(3, N) radius, angle from x towards y in radians or of the clock in degrees, z."""
+    x, y, z = points.astype(float).T
+    return np.stack([np.hypot(x, y), np.degrees(np.arctan2(x, -y)) % 360.0 if clock else np.arctan2(y, x), z])
+
+
 def spot_pairs(cell: IntArray, frame: IntArray, ring: IntArray, calm: BoolArray) -> list[tuple[int, int]]:
     """Of each ring of each frame its middle point on a calm spot; held against the next there, then those against the
     one after, where that is another frame's."""
@@ -56,6 +62,25 @@ def cell_observations(cell: IntArray, number: IntArray, square: FloatArray, cell
     """Of each cell how many numbers it has, equals once, and the sum of what they square to."""
     of = [sorted(set(number[cell == c].tolist())) for c in range(cells)]
     return [float(len(one)) for one in of], [sum(square[n % len(square)] for n in one) for one in of]
+
+
+def ring_ends(
+    look: IntArray, angle: FloatArray, column: IntArray, inside: BoolArray, open_ended: BoolArray, order: IntArray
+) -> list[tuple[int, int, float]]:
+    """Of every look with three columns inside: its first and last of them where sound wall follows with a point of its
+    own: look, column, and the angle of the last such point and half a direction towards the opening."""
+    out = []
+    for i in np.flatnonzero(np.count_nonzero(inside, axis=1) >= 3):
+        run, mine = np.flatnonzero(inside[i]), np.flatnonzero(look == i)
+        for last, way in ((run[0], -1), (run[-1], 1)):
+            beyond = last + way
+            if not 0 <= beyond < inside.shape[1] or open_ended[i, beyond]:
+                continue
+            ends = angle[mine[column[mine] == order[beyond]]]
+            if len(ends):
+                step = np.median(np.diff(np.sort(angle[mine]))) if len(mine) > 1 else np.nan
+                out.append((int(i), int(last), float(way * (way * ends).min() - way * step / 2)))
+    return out
 
 
 def middle_points(points: FloatArray, ring: IntArray, sectors: int, needed: int) -> list[int]:

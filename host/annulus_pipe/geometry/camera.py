@@ -35,17 +35,10 @@ Model = Literal["pinhole", "fisheye", "mirror"]
 BISECTIONS, EXACT = 60, 1e-13  # of the angle at which a ball reflects, radians; test_mirror
 COEFFICIENTS = 12  # of a lens in OpenCV's order, before the two angles of a tilted sensor
 
-_projected = door(
-    "projected",
-    "f8[n,3] points",
-    "f8[3,3] turn",
-    "f8[3] shift",
-    "f8 nearest",
-    "b1 fisheye",
-    "f8[4] lens",
-    "f8[12] k",
-    "f8[3,3] tilt",
-    "f8[n,2]! out",
+_LENS = "f8 nearest", "b1 fisheye", "f8[4] lens", "f8[12] k", "f8[3,3] tilt"
+_projected = door("projected", "f8[n,3] points", "f8[3,3] turn", "f8[3] shift", *_LENS, "f8[n,2]! out")
+_rows_projected = door(
+    "rows_projected", "f8[r,a] radius", "f8[a] right", "f8[a] down", "f8[r,9] rows", *_LENS, "f8[r,a,2]! out"
 )
 
 
@@ -220,13 +213,32 @@ class Camera:
             pixels = self._inner.project((self.mirror.meet(moved) - self.mirror.eye_mm) * self.mirror.turn)
             pixels[moved[:, 2] < nearest_mm] = np.nan
             return pixels
+        out = np.empty((len(points), 2))
+        _projected(points, turn, shift, nearest_mm, *self._lens(), out)
+        return out
+
+    def project_rows(
+        self, radius_mm: FloatArray, around: FloatArray, rows: FloatArray, nearest_mm: float = -math.inf
+    ) -> FloatArray:
+        """The same of places round an axis, (R, A) by their radius: (R A, 2) pixels.
+
+        around (2, A) : right and down of a radius of one; rows (R, 3, 3) : what right and down do in the camera's
+        frame, and where the axis is there, as columns.
+        """
+        if self.mirror is not None:
+            flat = np.concatenate([radius_mm * around[:, None], np.ones((1, *radius_mm.shape))])
+            return self.project(np.einsum("rij,jra->rai", rows, flat).reshape(-1, 3), nearest_mm=nearest_mm)
+        out = np.empty((*radius_mm.shape, 2))
+        packed = np.concatenate([rows[:, :, :2].reshape(-1, 6), rows[:, :, 2]], axis=1)
+        _rows_projected(np.ascontiguousarray(radius_mm, float), *around, packed, nearest_mm, *self._lens(), out)
+        return out.reshape(-1, 2)
+
+    def _lens(self) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
+        """As the loops have it."""
         k = np.zeros(COEFFICIENTS + 2)
         k[: len(self.distortion)] = self.distortion
-        tilt = _tilted(*k[COEFFICIENTS:])
-        out = np.empty((len(points), 2))
         lens = np.array([self.fx, self.fy, self.cx, self.cy], float)
-        _projected(points, turn, shift, nearest_mm, self.model == "fisheye", lens, k[:COEFFICIENTS], tilt, out)
-        return out
+        return self.model == "fisheye", lens, k[:COEFFICIENTS], _tilted(*k[COEFFICIENTS:])
 
 
 def _tilted(about_x: float, about_y: float) -> FloatArray:

@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import sys
+import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.joined import Abstract
 
 FORMAT = 1
+FAST = 1  # of zlib's levels: a fifth of the usual one's time, and a tenth more bytes
 _OURS = "annulus_pipe."
 _DEEP = 40  # of trees in trees; an abstract's is 8
 
@@ -32,9 +34,13 @@ def packed(abstract: Abstract, about: Mapping[str, Any]) -> bytes:
     arrays: list[NDArray[Any]] = []
     tree = _tree(abstract, arrays)
     text = json.dumps({"format": FORMAT, "about": about, "tree": tree})
-    out = io.BytesIO()
     named = {str(i): array for i, array in enumerate(arrays)}
-    np.savez_compressed(out, told=np.array(text), sha256=np.array(_digest(text, arrays)), **named)  # type: ignore[arg-type]
+    named |= {"told": np.array(text), "sha256": np.array(_digest(text, arrays))}
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED, compresslevel=FAST) as archive:
+        for name, array in named.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
     return out.getvalue()
 
 

@@ -1,6 +1,7 @@
 """From a job to its profiles, what is wrong with its frames, and what a survey says of them."""
 
 import contextlib
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
@@ -22,7 +23,7 @@ from annulus_pipe.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.scale import find_scale
 from annulus_pipe.wall.survey import Survey, survey
-from annulus_pipe.wall.texture import LedFrame
+from annulus_pipe.wall.texture import LedFrame, shows
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
@@ -152,11 +153,15 @@ def of_hues(job: Job) -> bool:
 
 
 class LedFrames:
-    """The scan's LED frames, read one at a time; then, what is said of those that show another lamp's light."""
+    """The scan's LED frames, of those that show the wall between two stations, read one at a time; then, what is said
+    of those that show another lamp's light."""
 
-    def __init__(self, job: Job, progress: Progress | None = None) -> None:
+    def __init__(
+        self, job: Job, progress: Progress | None = None, first_mm: float = -math.inf, last_mm: float = math.inf
+    ) -> None:
         self._job, self._progress = job, progress
-        self._which = job.which(Label.LED)
+        frames, radius = job.scan.frames, job.calibration.pipe_radius_mm
+        self._which = [i for i in job.which(Label.LED) if shows(frames[i].z_mm, radius, first_mm, last_mm)]
         self._others: list[int] = []
 
     def __iter__(self) -> Iterator[LedFrame]:

@@ -124,7 +124,7 @@ class WindowWork:
         if there is not None:
             return there
         window, job = portion.window, replace(self.job, scan=portion.part)
-        leds = LedFrames(job)
+        leds = LedFrames(job, None, window.first_mm, window.last_mm)  # of its halo nothing is kept
         try:
             whole = survey(
                 portion.profiles.of(window.frames),

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from annulus_pipe.numeric.native import door
+from annulus_pipe.wall.cylinder import points_of, round_axis
 from annulus_pipe.wall.profile import Profile
 
 # CELL_OF_RADIUS and AGREE_OF_RADIUS are guarded both ways by test_consistency.py; what all of it costs a scan shows in
@@ -47,17 +48,15 @@ def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
     looked: a stain that a slit crosses draws it aside all the way. How many went is added to each profile's
     `rejected["contradicted"]`. Where few frames look, nothing is dropped.
     """
-    points = [profile.points_mm for profile in profiles if len(profile.points_mm)]
-    if not points:
+    if not any(len(profile.points_mm) for profile in profiles):
         return tuple(profiles)
-    x, y, z = np.concatenate(points).astype(np.float64).T
-    radius = np.hypot(x, y)
+    radius, turn, z = round_axis(points_of(profiles))
     usual = float(np.median(radius))
     low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
     length = max(CELL_OF_RADIUS * usual, float(high - low) / ROWS_MAX)
     rows = int((high - low) / length) + 1
     row = np.clip((z - low) / length, 0, rows - 1).astype(np.int64)
-    column = (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
+    column = (turn * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
     frame = np.repeat(np.arange(len(profiles)), [len(profile.points_mm) for profile in profiles])
     cell = row * COLUMNS + column
     sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)

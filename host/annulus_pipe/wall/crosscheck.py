@@ -19,6 +19,7 @@ from annulus_pipe.numeric.late import ndimage, optimize
 from annulus_pipe.numeric.native import door
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.consistency import AGREE_OF_RADIUS, CELL_OF_RADIUS, COLUMNS
+from annulus_pipe.wall.cylinder import points_of, round_axis, round_clock
 from annulus_pipe.wall.grid import Wall, cell_medians
 from annulus_pipe.wall.profile import Profile
 
@@ -118,9 +119,8 @@ def with_edges(profiles: Sequence[Profile], wall: Wall) -> tuple[Profile, ...]:
     edge = np.asarray(EDGE_PART * np.maximum(np.nan_to_num(change), 0.0))
     out = []
     for one in profiles:
-        x, y, z = one.points_mm.astype(np.float64).T
+        _, clock, z = round_clock(one.points_mm)
         row = np.clip(np.rint((z - wall.z_mm[0]) / wall.z_step_mm), 0, len(wall.z_mm) - 1).astype(np.intp)
-        clock = np.degrees(np.arctan2(x, -y)) % 360.0
         column = np.floor(clock / wall.clock_step_deg).astype(np.intp) % len(wall.clock_deg)
         out.append(replace(one, sigma_mm=np.hypot(one.sigma_mm, edge[row, column]).astype(np.float32)))
     return tuple(out)
@@ -139,13 +139,12 @@ def _parts(profile: Profile) -> tuple[FloatArray, FloatArray]:
 
 def _pairs(profiles: Sequence[Profile], ring: NDArray[np.intp], centreline: Centreline) -> _Pairs:
     """One point of each ring and frame a spot, against those of the next frames; spots at a step are left out."""
-    x, y, z = np.concatenate([p.points_mm for p in profiles]).astype(np.float64).T
-    radius = np.hypot(x, y)
+    radius, turn, z = round_axis(points_of(profiles))
     usual = float(np.median(radius))
     if not centreline.is_even:
         radius = radius - centreline.radius_at(z)
     row = _compact(np.floor(z / (CELL_OF_RADIUS * usual)).astype(np.int64))
-    cell = row * COLUMNS + (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
+    cell = row * COLUMNS + (turn * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
     frame = np.repeat(np.arange(len(profiles)), [len(p.ring) for p in profiles])
     calm = _calm(cell, radius, int(row.max()) + 1, AGREE_OF_RADIUS * usual)
     room = np.empty(len(calm), np.int64), np.empty(len(cell), np.int32), np.empty(len(cell), np.int32)

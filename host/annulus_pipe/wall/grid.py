@@ -18,6 +18,7 @@ from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.centreline import Centreline
+from annulus_pipe.wall.cylinder import points_of, round_clock
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.rests import places_of
 from annulus_pipe.wall.shadow import STEP_MM, between_levels
@@ -227,12 +228,10 @@ class _Gridded:
         used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
         if not used:
             raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
-        points = np.concatenate([p.points_mm for p in used])
-        counted = np.isfinite(points).all(axis=1)
-        x, y, z = (points[counted, axis].astype(np.float64) for axis in range(3))
-        radius = np.hypot(x, y)
-        clock = np.degrees(np.arctan2(x, -y)) % 360.0
-        del points, x, y  # on a window of two million points each array is what a worker has no room for
+        points = points_of(used)
+        counted = np.asarray(np.isfinite(points).all(axis=1))
+        radius, clock, z = round_clock(points if counted.all() else points[counted])
+        del points  # on a window of two million points each array is what a worker has no room for
         low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
         step = z_step_mm or z_step_of(len(z), float(high - low), ROWS_MAX)
         first = int(np.floor(low / step))
@@ -245,10 +244,11 @@ class _Gridded:
         counted[counted] = inside
         grid, count = cell_medians(cell, radius, (rows, COLUMNS))
         keep = _supported(grid, cell, radius)
-        grid, count = cell_medians(cell[keep], radius[keep], (rows, COLUMNS))
+        _without(grid, count, cell, radius, ~keep, keep)
         if rise is not None:
-            keep &= ~between_levels(grid, step, rise).ravel()[cell]
-            grid, count = cell_medians(cell[keep], radius[keep], (rows, COLUMNS))
+            gone = np.asarray(keep & between_levels(grid, step, rise).ravel()[cell])
+            keep = np.asarray(keep & ~gone)
+            _without(grid, count, cell, radius, gone, keep)
         sampling = _sampling_gap(used, step, float(np.median(radius))) / step
         grid, likely = _bridge(grid, sampling), keep
         if rise is not None:  # once more: with its gaps closed a false floor shows its edges
@@ -377,6 +377,24 @@ def cell_medians(
     room = np.empty(medians.size, np.int64), np.empty((2, len(cell)))
     _cell_medians(cell, np.ascontiguousarray(value), weight, HALF_SLACK, *room, medians.ravel(), count.ravel())
     return medians, count
+
+
+def _without(
+    grid: FloatArray,
+    count: NDArray[np.int32],
+    cell: NDArray[np.int64],
+    radius: FloatArray,
+    gone: BoolArray,
+    keep: BoolArray,
+) -> None:
+    """Medians and numbers of the cells that lost a point, from what they keep; the others stay."""
+    if not gone.any():
+        return
+    some = np.zeros(grid.size, bool)
+    some[cell[gone]] = True
+    left = np.flatnonzero(some[cell] & keep)
+    medians, counts = cell_medians(cell[left], radius[left], (grid.shape[0], grid.shape[1]))
+    grid.ravel()[some], count.ravel()[some] = medians.ravel()[some], counts.ravel()[some]
 
 
 def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:

@@ -20,6 +20,7 @@ from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
 from annulus_pipe.wall.chords import DOWN_DEG, Chord, Slabs, find_chords, turn_from
+from annulus_pipe.wall.cylinder import round_clock
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import cell_medians
 from annulus_pipe.wall.pose import fit_pose
@@ -129,18 +130,18 @@ def _cut(profiles: Sequence[Profile], length_mm: float) -> Slabs | None:
     points = [profile.points_mm for profile in profiles if len(profile.points_mm)]
     if not points:
         return None
-    x, y, z = np.concatenate(points).astype(np.float64).T
+    radius, clock, z = round_clock(np.concatenate(points))
     low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
     rows, columns = min(round((high - low) / length_mm), SLABS_MOST), round(360.0 / COLUMN_DEG)
     if rows < 2:
         return None
     step = (high - low) / rows
     row = np.floor((z - low) / step).astype(np.int64)
-    column = (np.degrees(np.arctan2(x, -y)) % 360.0 / COLUMN_DEG).astype(np.int64) % columns
+    column = (clock / COLUMN_DEG).astype(np.int64) % columns
     inside = (row >= 0) & (row < rows)
-    radius, _ = cell_medians((row * columns + column)[inside], np.hypot(x, y)[inside], (rows, columns))
+    medians, _ = cell_medians((row * columns + column)[inside], radius[inside], (rows, columns))
     middles = np.asarray(low + (np.arange(rows) + 0.5) * step, dtype=np.float64)
-    return Slabs(radius, middles, np.asarray((np.arange(columns) + 0.5) * COLUMN_DEG, dtype=np.float64))
+    return Slabs(medians, middles, np.asarray((np.arange(columns) + 0.5) * COLUMN_DEG, dtype=np.float64))
 
 
 def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> Level | None:

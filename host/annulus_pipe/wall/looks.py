@@ -15,6 +15,7 @@ from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, nan_median
+from annulus_pipe.wall.cylinder import points_of, round_clock
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.rests import places_of
@@ -62,11 +63,10 @@ def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) 
     """Points and looks of all profiles that have a pose and points."""
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     rings = len(calibration.rings)
-    every = np.concatenate([p.points_mm for p in used])
-    x, y, z = every.astype(np.float64).T
+    every = points_of(used)
+    _, clock, z = round_clock(every)
     ring = np.concatenate([p.ring for p in used]).astype(np.int64)
     look = np.repeat(np.arange(len(used)) * rings, [len(p.points_mm) for p in used]) + ring
-    clock = np.degrees(np.arctan2(x, -y)) % 360.0
     radius, departure = np.empty(len(every)), np.empty(len(every))
     _shape_departures(every, wall.z_mm, wall.shape_mm, radius, departure)
     points = LookPoints(radius, clock, z, departure, look)

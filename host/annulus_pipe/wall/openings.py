@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus_pipe.numeric.late import ndimage, optimize
+from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import robust_sigma
 from annulus_pipe.wall.features import Feature, FeatureKind, FeatureMeasure
 from annulus_pipe.wall.grid import ALIKE, Wall
@@ -67,6 +68,21 @@ FACE_ARC_DEG = 60.0  # .. over so much of the circle
 RIM_SIDES = 0.5  # part of the sides at which a rim stands, for a tee
 CLOCK_DEG: FloatArray = (np.arange(COLUMNS, dtype=np.float64) + 0.5) * (360.0 / COLUMNS)
 SIDES = 8  # a circle is looked at in so many parts
+
+
+_ring_ends = door(
+    "ring_ends",
+    "i8[m] first",
+    "f8[n] angle",
+    "i8[n] column",
+    "f8[n]! room",
+    "b1[l,a] inside",
+    "b1[l,a] open_ended",
+    "i8[a] order",
+    "i8[e,2]! at",
+    "f8[e]! end",
+    returns="i8",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +189,11 @@ def _within(bore: _Bore, other: _Bore) -> bool:
 def _about(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> tuple[LookPoints, Looks]:
     """The points and looks of it and of the wall around it."""
     reach = 2 * bore.radius_mm + ABOUT * size
-    some = (np.abs(points.z_mm - bore.z_mm) < reach) & (np.abs(bore.aside(points.clock_deg)) < reach / size)
+    some = np.flatnonzero(np.abs(points.z_mm - bore.z_mm) < reach)
+    some = some[np.abs(bore.aside(points.clock_deg[some])) < reach / size]
     near = np.abs(looks.z_mm[:, :: COLUMNS // 12] - bore.z_mm).min(axis=1) < reach
     number = np.cumsum(near) - 1
-    some &= near[points.look]
+    some = some[near[points.look[some]]]
     number = number[points.look[some]]
     kept = LookPoints(
         points.radius_mm[some], points.clock_deg[some], points.z_mm[some], points.departure_mm[some], number
@@ -241,10 +258,10 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
 def _fitted(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore | None:
     """The circle through faces and ends of rings; None where it runs away."""
     for gate in GATES:
-        rim = _rim(bore, points, looks, size)
-        bore = rim if rim.stands_mm or gate < GATES[0] else bore
-        ends = _ends(bore, points, looks, size)
         angle = bore.aside(points.clock_deg)
+        rim = _rim(bore, points, looks, size, angle)
+        bore = rim if rim.stands_mm or gate < GATES[0] else bore
+        ends = _ends(bore, points, looks, size, angle)
         across, along = points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm
         off = np.hypot(across, along) - bore.radius_mm
         face = (np.cos(angle) > 0) & (along > 0.1 * bore.radius_mm) & (np.abs(off) < gate * size)
@@ -297,12 +314,11 @@ def _level(bore: _Bore, angle: FloatArray) -> FloatArray:
     return np.asarray(np.minimum((bore.wall_mm - bore.stands_mm) / np.maximum(np.cos(angle), 0.2) - bore.wall_mm, 0.0))
 
 
-def _rim(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore:
-    """The bore with the rim that stands about it, or without.
+def _rim(bore: _Bore, points: LookPoints, looks: Looks, size: float, angle: FloatArray) -> _Bore:
+    """The bore with the rim that stands about it, or without. angle (N,) : of the points, aside from the bore.
 
     Its height is taken at the sides, where it runs along the pipe and a slit's width blurs nothing.
     """
-    angle = bore.aside(points.clock_deg)
     across, along = points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm
     away = np.hypot(across, along)
     near = (np.cos(angle) > 0) & (away > 0.9 * bore.radius_mm)
@@ -342,29 +358,22 @@ def _passing(bore: _Bore, looks: Looks, size: float) -> tuple[FloatArray, FloatA
     return across, along, missed, looks.lit & (np.cos(angle) > 0.3)
 
 
-def _ends(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> FloatArray:
+def _ends(bore: _Bore, points: LookPoints, looks: Looks, size: float, angle: FloatArray) -> FloatArray:
     """(E, 2) across and along, from the centre, where rings end at the sides and the near half of the opening: half a
     direction beyond their last points."""
     across, along, missed, known = _passing(bore, looks, size)
     order = np.roll(np.arange(COLUMNS), COLUMNS // 2 - int(bore.clock_deg / 360.0 * COLUMNS))  # the axis in the middle
     along, missed, known = along[:, order], missed[:, order], known[:, order]
     inside = missed & known & (np.hypot(across[order], along) < bore.radius_mm + SLIT * size)
-    angle = bore.aside(points.clock_deg)
     column = np.minimum((points.clock_deg * (COLUMNS / 360.0)).astype(np.int64), COLUMNS - 1)
-    out = []
-    for i in np.flatnonzero(np.count_nonzero(inside, axis=1) >= 3):
-        mine = np.flatnonzero(points.look == i)
-        run = np.flatnonzero(inside[i])
-        for last, way in ((run[0], -1), (run[-1], 1)):
-            beyond = last + way
-            if not 0 <= beyond < COLUMNS or not known[i, beyond] or missed[i, beyond]:
-                continue
-            ends = angle[mine[column[mine] == order[beyond]]]
-            if len(ends):
-                step = float(np.median(np.diff(np.sort(angle[mine]))))
-                end = np.array([way * float((way * ends).min()) - way * step / 2])
-                out.append((float(((bore.wall_mm + _level(bore, end)) * np.sin(end))[0]), along[i, last]))
-    found = np.array(out, dtype=np.float64).reshape(-1, 2)
+    by_look = np.argsort(points.look, kind="stable")
+    first = np.searchsorted(points.look[by_look], np.arange(len(inside) + 1))
+    at, end = np.empty((2 * len(inside), 2), np.int64), np.empty(2 * len(inside))
+    sorted_by_look = angle[by_look], column[by_look], np.empty(len(by_look))
+    there = np.ascontiguousarray(inside), np.ascontiguousarray(~known | missed), order
+    count = _ring_ends(first, *sorted_by_look, *there, at, end)
+    (look, last), end = at[:count].T, end[:count]
+    found = np.stack([(bore.wall_mm + _level(bore, end)) * np.sin(end), along[look, last]], axis=1)
     return found[found[:, 1] < 0.1 * bore.radius_mm]
 
 

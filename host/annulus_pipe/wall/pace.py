@@ -20,7 +20,7 @@ from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.texture import HeadPath, LedFrame, pixels_of
+from annulus_pipe.wall.texture import HeadPath, LedFrame, pixels_round
 
 # Set on the drawn pipes of the blind bench, even seeds, by physics; guarded by test_pace.py as a whole.
 ROW = 0.004  # of the radius: a strip's rows, finer than what a pixel shows of a near wall
@@ -126,14 +126,12 @@ class Pace:
         if pose is None:
             return None
         first = int(np.ceil((frame.z_mm + NEAREST * self._radius_mm) / step))
-        z = step * np.arange(first, int((frame.z_mm + FARTHEST * self._radius_mm) / step))
+        z = step * np.arange(first, int((frame.z_mm + FARTHEST * self._radius_mm) / step), dtype=np.float64)
         wall = self._wall
         row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
         clock = (np.arange(COLUMNS) + 0.5) * 360.0 / COLUMNS
         radius = self._wide_mm[row][:, (clock / 360.0 * len(wall.clock_deg)).astype(np.intp)]
-        t = np.radians(clock)
-        points = np.stack([radius * np.sin(t), -radius * np.cos(t), np.broadcast_to(z[:, None], radius.shape)], axis=-1)
-        pixels = pixels_of(points.reshape(-1, 3), self._centreline, self._calibration, pose, frame.z_mm, frame.camera)
+        pixels = pixels_round(z, radius, clock, self._centreline, self._calibration, pose, frame)
         light, inside = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.bool_)
         _light_at(np.ascontiguousarray(frame.image_bgr), pixels, light, inside)
         seen = inside.reshape(radius.shape) & ((z >= wall.z_mm[0]) & (z <= wall.z_mm[-1]))[:, None]
@@ -142,11 +140,12 @@ class Pace:
 
 def _marks(light: Float32Array, seen: BoolArray) -> Float32Array:
     """What is darker or brighter than about it, the lamp's fall-off along the pipe taken out; NaN where not seen."""
-    fields = np.where(seen, light, np.float32(0.0)), seen.astype(np.float32)
+    field = np.where(seen, light, np.float32(0.0))
+    part = None if seen.all() else seen.astype(np.float32)  # of the bells: of all of them, where all was seen
 
     def even(size: tuple[float, float]) -> Float32Array:
-        total, part = (_averaged(field, size) for field in fields)
-        return np.asarray(total / np.maximum(part, np.float32(0.3)))
+        total = _averaged(field, size)
+        return total if part is None else np.asarray(total / np.maximum(_averaged(part, size), np.float32(0.3)))
 
     marks = np.where(seen, even(SHARP) - even(SMOOTH), np.float32(np.nan))
     middle = np.empty(len(marks), np.float32)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.wall.cylinder import points_of, round_clock
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
 from annulus_pipe.wall.shadow import SLIT_OF_RADIUS
@@ -36,8 +37,7 @@ class WallPoints:
 
     @classmethod
     def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "WallPoints":
-        x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
-        clock, radius = np.degrees(np.arctan2(x, -y)) % 360.0, np.hypot(x, y)
+        radius, clock, z = round_clock(points_of(profiles))
         row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
         shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
         sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.geometry.calibration import Calibration
+from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.numeric.arrays import BoolArray, FloatArray
 from annulus_pipe.numeric.native import door
@@ -53,6 +54,11 @@ class _Patch:
     ahead: FloatArray  # (rows,) mm
 
 
+def shows(z_mm: float, radius_mm: float, first_mm: float, last_mm: float) -> bool:
+    """Whether a frame taken there shows colours of the wall between two stations."""
+    return z_mm + FARTHEST_OF_RADIUS * radius_mm >= first_mm and z_mm + NEAREST_OF_RADIUS * radius_mm <= last_mm
+
+
 class HeadPath:
     """Where the head was, between the poses of profiles."""
 
@@ -87,10 +93,10 @@ def paint(
     sums: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}  # by camera: weighted colours, weights
     waiting: dict[int, list[_Patch]] = {}  # by camera: each has its own light
     light: dict[int, FloatArray] = {}
-    points, path = centreline.to_space(_surface(wall).reshape(-1, 3)), HeadPath(profiles)
+    radius, path = wall.filled_mm().astype(np.float64), HeadPath(profiles)
     for frame in frames:
         pose = path.at(frame.z_mm)
-        patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
+        patch = _look(wall, radius, centreline, calibration, pose, frame) if pose is not None else None
         if patch is None:
             continue
         if frame.camera not in sums:
@@ -141,47 +147,58 @@ def _learn(
     return light
 
 
-def _surface(wall: Wall) -> FloatArray:
-    t = np.radians(wall.clock_deg)
-    radius = wall.filled_mm().astype(np.float64)
-    z = np.broadcast_to(wall.z_mm[:, None], radius.shape)
-    return np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1)
-
-
 def pixels_of(
     points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
 ) -> FloatArray:
     """Where points of the wall, (N, 3) mm in the pipe frame, lie in a frame that was taken with this pose at z_mm by
     this camera (its id): (N, 2) pixels, NaN of what is not before it."""
-    return pixels_in(centreline.to_space(points), centreline, calibration, pose, z_mm, camera)
+    own, turn, shift = _camera(centreline, calibration, pose, z_mm, camera)
+    return own.project(centreline.to_space(points), turn, shift, NEAREST_MM)
 
 
-def pixels_in(
-    points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
+def pixels_round(
+    z: FloatArray,
+    radius: FloatArray,
+    clock_deg: FloatArray,
+    centreline: Centreline,
+    calibration: Calibration,
+    pose: Pose,
+    frame: LedFrame,
 ) -> FloatArray:
-    """The same of points in space."""
+    """The same of all the wall between two stations, (R A, 2): radius (R, A) mm at stations z (R,) round the clock."""
+    own, turn, shift = _camera(centreline, calibration, pose, frame.z_mm, frame.camera)
+    stands, ahead = centreline.frames_at(z)
+    t = np.radians(clock_deg)
+    rows = np.concatenate([turn @ ahead[:, :, :2], (stands @ turn.T + shift)[:, :, None]], axis=2)
+    return own.project_rows(radius, np.stack([np.sin(t), -np.cos(t)]), rows, NEAREST_MM)
+
+
+def _camera(
+    centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
+) -> tuple[Camera, FloatArray, FloatArray]:
+    """The camera of that id, and how what lies in space is turned and shifted in its frame."""
     (stands,), (ahead,) = centreline.frames_at(np.array([z_mm]))
     turn = pose.rotation @ ahead.T
     shift = pose.translation - turn @ stands
     own = next((one for one in calibration.cameras if one.id == camera), calibration.cameras[0])
     if calibration.others:
         turn, shift = np.array(own.rotation) @ turn, np.array(own.rotation) @ shift + own.translation_mm
-    return own.camera.project(points, turn, shift, NEAREST_MM)
+    return own.camera, turn, shift
 
 
 def _look(
-    wall: Wall, points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
+    wall: Wall, radius_mm: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
 ) -> _Patch | None:
-    """What one frame shows of the grid's cells within reach; None when it shows nothing of it. points (Z A, 3) : of the
-    cells, in space."""
+    """What one frame shows of the grid's cells within reach; None when it shows nothing of it. radius_mm (Z, A) : of
+    the cells, known or not."""
     radius, columns = wall.mean_radius_mm, len(wall.clock_deg)
     reach = (frame.z_mm + NEAREST_OF_RADIUS * radius, frame.z_mm + FARTHEST_OF_RADIUS * radius)
     first, last = np.searchsorted(wall.z_mm, reach)
     if first == last:
         return None
-    part = points[first * columns : last * columns]
-    pixels = pixels_in(part, centreline, calibration, pose, frame.z_mm, frame.camera)
-    colour, inside = np.empty(part.shape, np.uint8), np.empty(len(part), np.bool_)
+    z = wall.z_mm[first:last]
+    pixels = pixels_round(z, radius_mm[first:last], wall.clock_deg, centreline, calibration, pose, frame)
+    colour, inside = np.empty((len(pixels), 3), np.uint8), np.empty(len(pixels), np.bool_)
     _colours_at(np.ascontiguousarray(frame.image_bgr), pixels, colour, inside)
     if not inside.any():
         return None

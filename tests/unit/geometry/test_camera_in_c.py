@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus_pipe.geometry.camera import Camera
+from annulus_pipe.geometry.camera import Camera, Mirror
 
 few = settings(max_examples=30, deadline=None, derandomize=True)
 
@@ -41,3 +41,19 @@ def test_what_a_pinhole_has_behind_it_has_no_pixel() -> None:
     pixels = camera.project(np.array([[1.0, 2.0, 4.0], [1.0, 2.0, 0.0], [1.0, 2.0, -4.0]]))
     assert pixels[0] == pytest.approx([830.0 + 700.0 / 4, 615.0 + 701.0 / 2])
     assert np.isnan(pixels[1:]).all()
+
+
+@few
+@given(
+    seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0, 5, 8, 14]), model=st.sampled_from(["pinhole", "mirror"])
+)
+def test_rows_of_places_have_the_pixels_of_their_points(seed: int, size: int, model: str) -> None:
+    rng = np.random.default_rng(seed)
+    mirror = Mirror((0.3, -0.2, 45.0), 10.0) if model == "mirror" else None
+    lens = tuple(rng.normal(0, 0.02, size))
+    camera = Camera(model, 1664, 1232, 700.0, 701.0, 830.0, 615.0, lens, mirror)  # type: ignore[arg-type]
+    t, radius = np.arange(9) * 0.7, rng.uniform(70.0, 80.0, (3, 9))
+    around, rows = np.stack([np.sin(t), -np.cos(t)]), rng.normal(0, 1, (3, 3, 3)) + np.diag([1.0, 1.0, 90.0])
+    points = np.einsum("rij,jra->rai", rows, np.concatenate([radius * around[:, None], np.ones((1, 3, 9))]))
+    expected = camera.project(points.reshape(-1, 3), nearest_mm=20.0)
+    np.testing.assert_allclose(camera.project_rows(radius, around, rows, 20.0), expected, rtol=1e-9, atol=1e-6)

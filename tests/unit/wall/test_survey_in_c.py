@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 from annulus_pipe.wall.adjustment import _middle_points
 from annulus_pipe.wall.axis import HELD, LANES, _begin_normals
 from annulus_pipe.wall.crosscheck import _spot_pairs
+from annulus_pipe.wall.cylinder import round_axis, round_clock
 from annulus_pipe.wall.grid import _cell_observations
 from annulus_pipe.wall.looks import _shape_departures
+from annulus_pipe.wall.openings import _ring_ends
 from annulus_pipe.wall.stations import _closed_lines, station_medians
 
 few = settings(max_examples=40, deadline=None, derandomize=True)
@@ -76,8 +78,29 @@ def test_points_are_the_references(seed: int, n: int, stations: int, rings: int)
     _shape_departures(points, at, shape, radius, departure)
     expected = wall_survey.shape_departures(points, at, shape)
     np.testing.assert_allclose([radius, departure], expected, rtol=1e-11, atol=1e-11)
+    for found, clock in ((round_axis(points), False), (round_clock(points), True)):
+        np.testing.assert_allclose(found, wall_survey.round_axis(points, clock), rtol=1e-14, atol=1e-13)
     ring = rng.integers(0, rings, n).astype(np.uint8)
     assert middles(points, ring, 8, rings) == wall_survey.middle_points(points, ring, 8, 3)
+
+
+def ends_of(look: np.ndarray, angle: np.ndarray, column: np.ndarray, *of_looks: np.ndarray) -> list:
+    looks = len(of_looks[0])
+    first = np.searchsorted(look, np.arange(looks + 1))
+    at, end = np.empty((2 * looks, 2), np.int64), np.empty(2 * looks)
+    size = _ring_ends(first, angle, column, np.empty(len(look)), *of_looks, at, end)
+    return [(*pair, one) for pair, one in zip(at[:size].tolist(), end[:size].tolist(), strict=True)]
+
+
+@few
+@given(seed=seeds, n=st.sampled_from([0, 1, 30, 200]), looks=st.integers(1, 6), part=st.sampled_from([0.1, 0.4, 0.9]))
+def test_ends_of_rings_are_the_references(seed: int, n: int, looks: int, part: float) -> None:
+    rng = np.random.default_rng(seed)
+    look, angle, column = np.sort(rng.integers(0, looks, n)), rng.normal(0, 1, n), rng.integers(0, 12, n)
+    of_looks = rng.random((looks, 12)) < part, rng.random((looks, 12)) < 0.3, rng.permutation(12)
+    found, expected = (of(look, angle, column, *of_looks) for of in (ends_of, wall_survey.ring_ends))
+    assert [one[:2] for one in found] == [one[:2] for one in expected]
+    np.testing.assert_allclose([one[2] for one in found], [one[2] for one in expected], rtol=1e-13, atol=1e-15)
 
 
 @few
@@ -108,6 +131,8 @@ def test_rubbish_touches_no_other_memory(of: list, size: int) -> None:
     pairs_of(a, b, b, np.ones(size, bool))
     observed(a, a.astype(np.int32), np.ones(size), size)
     middles(points, a.astype(np.uint8), size, 2)
+    round_axis(points), round_clock(points)
+    ends_of(a, x.astype(float), b, *(np.resize(a % 2 == k, (size, 7)) for k in (0, 1)), np.resize(b, 7))
     _shape_departures(points, np.resize(x, n).astype(float), np.ones((n, 5)), np.empty(n), np.empty(n))
     station_medians(np.stack([x, y]), size, size)
     wide, out = np.resize(x, (1, max(n, 3))).astype(float), np.empty((1, 2))
