@@ -77,6 +77,12 @@ static int64_t rank_of(const int64_t counted[256], const double part)
     return level;
 }
 
+// How many samples of a line lie between a and a + m.
+INLINE int64_t samples_of(const int64_t stop, const int64_t a, const int64_t m)
+{
+    return bounded(stop, a, a + m) - a;
+}
+
 // The frame's bright level and noise in grey levels, out (2,), from every 24th line and every third sample along it.
 // top as above; stop (j,): the grid's, from its own first sample on. sigma_of_mad: standard deviation of normal errors
 // over the median of their sizes.
@@ -89,7 +95,7 @@ static void level(const uint8_t* const top, const int64_t* const stop, const int
     int64_t size = 0;
     const int64_t lines = m > 0 ? least(j, t / m) : 0;
     for (int64_t line = 0; line < lines; line += 24) {
-        for (int64_t k = 1; k < least(stop[line] - a, m); k += 3) {
+        for (int64_t k = 1; k < samples_of(stop[line], a, m); k += 3) {
             levels[top[line * m + k]]++;
             size++;
         }
@@ -102,7 +108,7 @@ static void level(const uint8_t* const top, const int64_t* const stop, const int
     const int64_t half = rank_of(levels, 0.5);
     int64_t all = 0;
     for (int64_t line = 0; line < lines; line += 24) {
-        for (int64_t k = 1; k < least(stop[line] - a, m); k += 3) {
+        for (int64_t k = 1; k < samples_of(stop[line], a, m); k += 3) {
             const int64_t value = top[line * m + k], step = value - top[line * m + k - 1];
             if (value <= half) {
                 steps[step < 0 ? -step : step]++;
