@@ -101,6 +101,28 @@ INLINE uint64_t mask_of(const uint8_t* const turning, const int64_t size)
     return mask;
 }
 
+// Samples that are looked at, one after another: of every other one those whose byte is 1.
+typedef struct {
+    const uint8_t* turning;
+    int64_t start, end;
+    uint64_t mask;
+} walk_t;
+
+// The next one; 0: there is none.
+INLINE int64_t next_of(walk_t* const walk)
+{
+    while (walk->mask == 0) {
+        walk->start += MASKED;
+        if (walk->start >= walk->end) {
+            return 0;
+        }
+        walk->mask = mask_of(walk->turning + walk->start, least(MASKED, walk->end - walk->start));
+    }
+    const int64_t i = walk->start + 2 * __builtin_ctzll(walk->mask);
+    walk->mask &= walk->mask - 1;
+    return i;
+}
+
 // Alternating tops and bottoms of a line: high[k] low[k] high[k + 1]; one is confirmed when the next has clearly begun.
 // Every other sample will do: the line is smooth, and edges are looked for between tops and bottoms sample by sample.
 // turning: room to work in. Returns how many bottoms; *crowded counts lines with more than there is room for.
@@ -118,44 +140,44 @@ static int64_t turning_points(const line_t* const line, const int64_t per_line, 
     for (int64_t i = most(line->length - 7, 7); i < line->length; i++) {
         turning[i] = 1;  // the last ones are all looked at
     }
+    walk_t walk = {turning, 7 - MASKED, line->length - MARGIN, 0};
     int64_t k = 0, best = MARGIN;
-    bool rising = true;
     float value = smooth[best];
-    for (int64_t start = 7; start < line->length - MARGIN; start += MASKED) {
-        uint64_t mask = mask_of(turning + start, least(MASKED, line->length - MARGIN - start));
-        while (mask != 0) {
-            const int64_t i = start + 2 * __builtin_ctzll(mask);
-            mask &= mask - 1;
+    for (;;) {
+        int64_t i = next_of(&walk);
+        for (; i > 0; i = next_of(&walk)) {  // until clearly below the top
             const float s = smooth[i];
-            if (rising) {
-                if (s > value) {
-                    best = i;
-                    value = s;
-                } else if (s < fall * value && value > floor_level && value - s > 0.5f * floor_level) {
-                    high[k] = best;
-                    rising = false;
-                    best = i;
-                    value = s;
-                }
-            } else if (s < value) {
-                best = i;
-                value = s;
-            } else if (fall * s > value && s - value > floor_level) {
-                if (k == per_line) {
-                    (*crowded)++;
-                    return k;  // the last top is the one before this bottom
-                }
-                low[k++] = best;
-                rising = true;
-                best = i;
-                value = s;
+            if ((s < fall * value) & (value > floor_level) & (value - s > 0.5f * floor_level)) {
+                break;
             }
+            best = s > value ? i : best;
+            value = s > value ? s : value;
         }
-    }
-    if (rising) {
         high[k] = best;
+        if (i == 0) {
+            return k;
+        }
+        best = i;
+        value = smooth[i];
+        for (i = next_of(&walk); i > 0; i = next_of(&walk)) {  // until clearly above the bottom
+            const float s = smooth[i];
+            if ((fall * s > value) & (s - value > floor_level)) {
+                break;
+            }
+            best = s < value ? i : best;
+            value = s < value ? s : value;
+        }
+        if (i == 0) {
+            return k;
+        }
+        if (k == per_line) {
+            (*crowded)++;
+            return k;  // the last top is the one before this bottom
+        }
+        low[k++] = best;
+        best = i;
+        value = smooth[i];
     }
-    return k;
 }
 
 // The nearest edge from a bottom on, in steps of `way`: the steepest place up to where the light is back and level
