@@ -55,6 +55,7 @@ _bell_averaged = door(
     "f4[r,a]! middle_field",
     "f4[r,a]! out",
 )
+_size_median = door("size_median", "f4[n] field", "f4[n]! line", returns="f8")
 _strip_sums = door(
     "strip_sums", "f4[r,a]! one", "f4[q,a]! other", "f4[r,a]! seen_one", "f4[q,a]! seen_other", "f8[d,6,a]! sums"
 )
@@ -148,7 +149,7 @@ def _marks(light: Float32Array, seen: BoolArray) -> Float32Array:
 
     marks = np.where(seen, even(SHARP) - even(SMOOTH), np.float32(np.nan))
     marks -= row_medians(marks)[:, None]
-    most = 4.0 * SIGMA_OF_MAD * float(np.median(np.abs(marks[seen])))
+    most = 4.0 * SIGMA_OF_MAD * _size_median(marks.ravel(), np.empty(marks.size, np.float32))
     return np.clip(marks, -most, most)
 
 
