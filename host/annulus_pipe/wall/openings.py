@@ -294,13 +294,15 @@ def _fitted(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore
         rim = _rim(bore, points, looks, size, angle)
         bore = rim if rim.stands_mm or gate < GATES[0] else bore
         ends = _ends(bore, points, looks, size, angle)
-        across, along = points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm
+        along = points.z_mm - bore.z_mm
+        near = np.flatnonzero((along > 0.1 * bore.radius_mm) & (along < bore.radius_mm + gate * size))
+        angle, along, departure = angle[near], along[near], points.departure_mm[near]
+        across = points.radius_mm[near] * np.sin(angle)
         off = np.hypot(across, along) - bore.radius_mm
-        face = (np.cos(angle) > 0) & (along > 0.1 * bore.radius_mm) & (np.abs(off) < gate * size)
-        face &= points.departure_mm > _level(bore, angle) + LEVEL * size
+        face = (np.cos(angle) > 0) & (np.abs(off) < gate * size) & (departure > _level(bore, angle) + LEVEL * size)
         if bore.stands_mm:  # the wall beside a narrow rim is no face
-            face &= np.abs(points.departure_mm) > LEVEL * size
-        across, along, number = across[face], along[face], looks.view[points.look[face]]
+            face &= np.abs(departure) > LEVEL * size
+        across, along, number = across[face], along[face], looks.view[points.look[near[face]]]
         if len(ends) + len(across) < 8:
             return None
         scatter = max(robust_sigma(off[face] - np.median(off[face])), FACE * size) if face.any() else FACE * size
