@@ -11,14 +11,6 @@
 #define COLOURS 3
 #define ROUNDS 2  // of references moved to what their stripes look like: no stripe changes sides after that
 
-// Light of stripe q, blue 0 to red 2, of a table (r, c) of which each three rows hold `size` stripes.
-INLINE double light_of(const double* const light, const int64_t q, const int64_t channel, const int64_t size,
-                       const int64_t c)
-{
-    const int64_t part = q / size;
-    return light[(3 * part + channel) * c + q - part * size];
-}
-
 static int64_t least_members(const double part, const int64_t size)
 {
     const double some = part * (double)size;
@@ -33,31 +25,36 @@ static void learn(const double* const light, const int64_t size, const int64_t e
                   const double bright, const double share, double* const work, double* const gain,
                   double* const reference, const int64_t r, const int64_t c, const int64_t u, const int64_t w)
 {
-    const int64_t there_are = least(size, c), step = every;
-    const int64_t some = least((there_are * (r / 3) + step - 1) / step, w);
-    double* const values = work + 4 * w;
-    for (int64_t i = 0; i < u; i++) {
-        const int64_t channel = most(0, least(used[i], COLOURS - 1));
-        for (int64_t n = 0; n < some; n++) {
-            values[n] = light_of(light, step * n, 2 - channel, there_are, c);
-        }
-        const double level = ranked(values, some, (int64_t)(bright * (double)some));
-        gain[channel] = 1.0 / (level > 1e-6 ? level : 1e-6);
-    }
+    const int64_t there_are = least(size, c);
+    const int64_t some = least((there_are * (r / 3) + every - 1) / every, w);
     double* const red = work;
     double* const green = work + w;
     double* const blue = work + 2 * w;
     double* const name = work + 3 * w;
+    double* const values = work + 4 * w;
+    const double* rows = light;
+    for (int64_t n = 0, at = 0; n < some; n++, at += every) {
+        for (; at >= there_are; at -= there_are) {
+            rows += 3 * c;  // of the next stripe of each slit
+        }
+        blue[n] = rows[at];
+        green[n] = rows[c + at];
+        red[n] = rows[2 * c + at];
+    }
+    for (int64_t i = 0; i < u; i++) {
+        const int64_t channel = bounded(used[i], 0, COLOURS - 1);
+        memcpy(values, work + channel * w, (size_t)some * sizeof *values);
+        const double level = ranked(values, some, (int64_t)(bright * (double)some));
+        gain[channel] = 1.0 / (level > 1e-6 ? level : 1e-6);
+    }
     int64_t there = 0;
     for (int64_t n = 0; n < some; n++) {
-        const double r_light = light_of(light, step * n, 2, there_are, c) * gain[0];
-        const double g = light_of(light, step * n, 1, there_are, c) * gain[1];
-        const double b = light_of(light, step * n, 0, there_are, c) * gain[2];
-        const double length = sqrt((r_light * r_light + g * g) + b * b);
+        const double x = red[n] * gain[0], y = green[n] * gain[1], z = blue[n] * gain[2];
+        const double length = sqrt((x * x + y * y) + z * z);
         if (length > 1e-6) {
-            red[there] = r_light / length;
-            green[there] = g / length;
-            blue[there] = b / length;
+            red[there] = x / length;
+            green[there] = y / length;
+            blue[there] = z / length;
             there++;
         }
     }
@@ -103,33 +100,36 @@ static void classify(const double* const light, const int64_t size, const double
                      const double* const reference, const int64_t* const used, const double likeness,
                      uint8_t* const out, const int64_t r, const int64_t c, const int64_t u, const int64_t s)
 {
-    double ours[COLOURS][COLOURS] = {{0.0}};
-    int32_t names[COLOURS] = {0};
+    double ours[COLOURS][COLOURS] = {{0.0}}, names[COLOURS] = {0.0}, never[COLOURS];
     const int64_t colours = least(u, COLOURS);
-    for (int64_t i = 0; i < colours; i++) {
-        names[i] = (int32_t)bounded(used[i], 0, COLOURS - 1);
-        for (int channel = 0; channel < COLOURS; channel++) {
+    for (int64_t i = 0; i < COLOURS; i++) {
+        never[i] = i < colours ? 0.0 : -1e300;  // a colour that the pattern has not is like no stripe
+        for (int channel = 0; channel < COLOURS && i < colours; channel++) {
             ours[i][channel] = reference[3 * i + channel];
         }
+        names[i] = i < colours ? (double)bounded(used[i], 0, COLOURS - 1) : 0.0;
     }
+    const double alone = colours == 1 ? 1.0 : 0.0;
     for (int64_t part = 0; part < least(s, r / 3); part++) {
         const double* const blue = light + 3 * part * c;
         const double* const green = blue + c;
         const double* const red = green + c;
+        uint8_t* const restrict named = out + part * c;
         for (int64_t n = 0; n < least(size, c); n++) {
             const double x = red[n] * gain[0], y = green[n] * gain[1], z = blue[n] * gain[2];
             const double length = sqrt((x * x + y * y) + z * z);
-            double first = -1.0, second = -1.0;
-            int32_t name = 0;
-            for (int64_t i = 0; i < colours; i++) {
-                const double like = (ours[i][0] * x + ours[i][1] * y) + ours[i][2] * z;
+            double first = -1.0, second = -1.0, name = 0.0;
+            for (int i = 0; i < COLOURS; i++) {
+                const double like = ((ours[i][0] * x + ours[i][1] * y) + ours[i][2] * z) + never[i];
                 const double lesser = like < first ? like : first;
                 second = lesser > second ? lesser : second;
                 name = like > first ? names[i] : name;
                 first = like > first ? like : first;
             }
-            const bool clear = (length > 1e-6) & ((colours == 1) | (first - second > likeness * length));
-            out[part * c + n] = (uint8_t)(clear ? name : UNKNOWN);
+            // whether something holds is 1.0 or 0.0, so that it is worked out side by side
+            const double apart = first - second > likeness * length ? 1.0 : alone;
+            const double clear = length > 1e-6 ? apart : 0.0;
+            named[n] = (uint8_t)(int32_t)(clear > 0.0 ? name : (double)UNKNOWN);
         }
     }
 }

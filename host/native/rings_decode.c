@@ -73,13 +73,15 @@ DOOR void rings_list(const uint8_t* const colour, const int64_t size, const uint
     counts[1] = unclear;
 }
 
-// What a candidate is worth: 1 for each colour that fits, `skip` for one slit not left out, and the price of a wall
-// that is off by a part of the tolerance.
-INLINE double worth_of(const int fit, const double deviation, const double tolerance, const double skip,
-                       const double place)
+// What each candidate is worth: 1 for each colour that fits, `skip` for one slit not left out, and the price of a wall
+// that is off by a part of the tolerance; less than 0 where it is off by more.
+static void weigh(const uint8_t* const fit, const double* const deviation, const int64_t size, const double tolerance,
+                  const double skip, const double place, double* const restrict worth)
 {
-    const double part = deviation / tolerance;
-    return ((double)fit + skip) - place * (part * part);
+    for (int64_t i = 0; i < size; i++) {
+        const double part = deviation[i] / tolerance, price = place * (part * part);
+        worth[i] = fabs(deviation[i]) <= tolerance ? ((double)fit[i] + skip) - price : -1.0;
+    }
 }
 
 // Ring of each of the first `size` slits, by the list's (first `listed`) deviations, and which of the list was chosen.
@@ -90,13 +92,14 @@ DOOR int64_t rings_align(const int64_t* const direction, const int64_t size, con
                          const int32_t* const name, const uint8_t* const fit, double* const deviation,
                          const int64_t listed, const double* const points, const double* const rotation,
                          const double* const shift, const double radius, const double tolerance,
-                         const double* const prices, int64_t* const places, double* const work, int64_t* const ring,
-                         int32_t* const chosen, const int64_t c, const int64_t n, const int64_t w)
+                         const double* const prices, double* const worth, int64_t* const places, double* const work,
+                         int64_t* const ring, int32_t* const chosen, const int64_t c, const int64_t n, const int64_t w)
 {
     if (points != NULL && rotation != NULL && shift != NULL) {
         rings_deviations(points, listed, rotation, shift, radius, deviation, n);
     }
     const int64_t slits = least(size, c), all = least(listed, n);
+    weigh(fit, deviation, all, tolerance, prices[0], prices[1], worth);
     int64_t* const own_slit = places;
     int64_t* const own_name = places + w;
     double* const own = work;
@@ -112,14 +115,12 @@ DOOR int64_t rings_align(const int64_t* const direction, const int64_t size, con
             if (direction[s] != line) {
                 break;
             }
-            if (!(fabs(deviation[next]) <= tolerance) || there == w) {
-                continue;
+            if (there < w) {
+                own_slit[there] = s;
+                own_name[there] = name[next];
+                own[there] = worth[next];
+                there += worth[next] > 0.0;
             }
-            const double worth = worth_of(fit[next], deviation[next], tolerance, prices[0], prices[1]);
-            own_slit[there] = s;
-            own_name[there] = name[next];
-            own[there] = worth;
-            there += worth > 0.0;
         }
         choose(own_slit, own_name, own, work + w, work + 2 * w, there, prices[2], ring);
         for (int64_t i = start; i < next; i++) {

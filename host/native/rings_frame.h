@@ -24,7 +24,7 @@ void rings_look(const picture_t* picture, bool mosaic, const lines_t* lines, int
                 const double* limits, uint8_t* seen, int64_t room, const look_t* look);
 void rings_strongest(const picture_t* picture, bool mosaic, double cx, double cy, double inner, double outer,
                      const look_t* look, uint8_t* plane, int64_t room);
-void rings_light(const picture_t* picture, bool mosaic, const int64_t* ways, int64_t lines, int64_t first,
+void rings_light(const picture_t* picture, bool mosaic, const double* ways, int64_t lines, int64_t first,
                  const int64_t* direction, const int32_t* samples, int64_t size, double* light, double* bright,
                  int64_t n);
 void rings_list(const uint8_t* colour, int64_t size, const uint8_t* pattern, int32_t* slit, int32_t* name, uint8_t* fit,

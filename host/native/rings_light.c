@@ -7,17 +7,23 @@
 #include "rings_frame.h"
 
 #define AHEAD 16  // slits; a power of two
-#define POINT 32  // bits behind the point of a way's numbers
-#define BOTTOM 2  // pixels that a slit's own darkness is the mean of ..
-#define STRIPE 4  // .. and that a stripe's light is, of rings up to 58 px apart: as many are read side by side
-#define PLACES (BOTTOM + 2 * STRIPE)
+#define RUN 4     // pixels of a stripe that are read side by side: all, of rings up to 58 px apart
+#define PLACES (3 * RUN)
+
+#pragma GCC diagnostic ignored                                                                                         \
+    "-Wpsabi"  // how such values are handed over changes with the level: none is, all is inline
+
+// Four numbers side by side; a mask of whole numbers has all bits or none.
+typedef double four_t __attribute__((vector_size(8 * RUN)));
+typedef int64_t mask_t __attribute__((vector_size(8 * RUN)));
+typedef int32_t whole_t __attribute__((vector_size(4 * RUN)));
 
 static const uint8_t BLACK[IN_COLOURS];  // where no pixel counts
 
 typedef struct {
     picture_t picture;
     int64_t lines, first;
-    const int64_t* ways;  // (lines, 4)
+    const double* ways;  // (lines, 4)
     bool mosaic;
 } frame_t;
 
@@ -28,27 +34,30 @@ typedef struct {
     uint32_t there[PLACES], column[PLACES], row[PLACES];
 } places_t;
 
-// The nearest pixel to sample i of a line, x and y. A way's numbers are the grid's own; what others are made of wraps.
-INLINE int64_t place_of(const frame_t* const frame, const int64_t line, const int64_t i, int64_t* const x,
-                        int64_t* const y)
+#define CHOSEN(mask, yes, no) ((four_t)(((mask) & (mask_t)(yes)) | (~(mask) & (mask_t)(no))))
+
+// Whole numbers of four values that may be anything. (By address: how such values are handed over changes with levels.)
+INLINE whole_t whole_of(const four_t* const values, const int64_t low, const int64_t high)
 {
-    const int64_t* const way = frame->ways + 4 * line;
-    const uint64_t n = (uint64_t)(frame->first + i);
-    const int64_t margin = frame->mosaic ? 1 : 0, w = frame->picture.width, h = frame->picture.height;
-    *x = (int64_t)((uint64_t)way[0] + n * (uint64_t)way[2]) >> POINT;
-    *y = (int64_t)((uint64_t)way[1] + n * (uint64_t)way[3]) >> POINT;
-    if (((uint64_t)(*x - margin) >= (uint64_t)(w - 2 * margin)) |
-        ((uint64_t)(*y - margin) >= (uint64_t)(h - 2 * margin))) {
-        *x = bounded(*x, margin, w - 1 - margin);
-        *y = bounded(*y, margin, h - 1 - margin);
-    }
-    return *y * w + *x;
+    const four_t least_of = (four_t){0.0} + (double)low, most_of = (four_t){0.0} + (double)high;
+    const four_t above = CHOSEN(*values > least_of, *values, least_of);
+    return __builtin_convertvector(CHOSEN(above < most_of, above, most_of), whole_t);
 }
 
-// Samples a, a + 2, .. to b of a line: half of them its own, the rest of its two neighbours.
-INLINE int64_t line_of(const int64_t line, const int64_t offset, const int64_t lines)
+// Samples a, a + 2, .. of a line: half of them its own, the rest of its two neighbours. The nearest pixels to four.
+INLINE void places_of(const frame_t* const frame, const int64_t line, const int64_t a, const int64_t offset,
+                      whole_t* const x, whole_t* const y)
 {
-    return !(offset & 2) ? line : around(line + ((offset & 4) ? 1 : -1), lines);
+    const double* const own = frame->ways + 4 * line;
+    const double* const before = frame->ways + 4 * around(line - 1, frame->lines);
+    const double* const after = frame->ways + 4 * around(line + 1, frame->lines);
+    const int64_t margin = frame->mosaic ? 1 : 0, first = frame->first + a + offset;
+    const four_t steps = (four_t){0.0, 2.0, 4.0, 6.0} + (double)first;
+    const four_t x0 = {own[0], before[0], own[0], after[0]}, dx = {own[2], before[2], own[2], after[2]};
+    const four_t y0 = {own[1], before[1], own[1], after[1]}, dy = {own[3], before[3], own[3], after[3]};
+    const four_t across = x0 + steps * dx, down = y0 + steps * dy;
+    *x = whole_of(&across, margin, frame->picture.width - 1 - margin);
+    *y = whole_of(&down, margin, frame->picture.height - 1 - margin);
 }
 
 // The three runs of samples of a slit: of its bottom, inside, outside.
@@ -58,33 +67,32 @@ INLINE void run_of(const int32_t sample[5], const int part, int64_t* const a, in
     *b = part == 0 ? *a + 2 : most(*a, part == 1 ? sample[2] : sample[4]);
 }
 
-// The pixels of one run, as many as there is room for, and the memory asked for.
-INLINE void fetch_run(const frame_t* const frame, const int64_t line, const int32_t sample[5], const int part,
-                      const int64_t start, const int64_t size, places_t* const places)
-{
-    const int64_t bytes = frame->mosaic ? 1 : IN_COLOURS, phase = frame->picture.phase;
-    int64_t a, b;
-    run_of(sample, part, &a, &b);
-    for (int64_t n = 0; n < size; n++) {
-        int64_t x, y;
-        const int64_t at = place_of(frame, line_of(line, 2 * n, frame->lines), a + 2 * n, &x, &y);
-        const uint8_t* const pixel = frame->picture.data + bytes * at;
-        __builtin_prefetch(pixel);
-        places->pixel[start + n] = frame->mosaic || a + 2 * n <= b ? pixel : BLACK;
-        if (frame->mosaic) {
-            places->there[start + n] = a + 2 * n <= b ? ~0u : 0u;
-            places->column[start + n] = (uint32_t)((x ^ phase) & 1) - 1u;
-            places->row[start + n] = (uint32_t)((y ^ (phase >> 1)) & 1) - 1u;
-        }
-    }
-}
-
+// The first pixels of each run, and the memory asked for.
 INLINE void fetch(const frame_t* const frame, const int64_t direction, const int32_t sample[5], places_t* const places)
 {
-    const int64_t line = bounded(direction, 0, frame->lines - 1);
-    fetch_run(frame, line, sample, 0, 0, BOTTOM, places);
-    fetch_run(frame, line, sample, 1, BOTTOM, STRIPE, places);
-    fetch_run(frame, line, sample, 2, BOTTOM + STRIPE, STRIPE, places);
+    const int64_t line = bounded(direction, 0, frame->lines - 1), phase = frame->picture.phase;
+    const int32_t w = (int32_t)frame->picture.width, bytes = frame->mosaic ? 1 : IN_COLOURS;
+    for (int part = 0; part < 3; part++) {
+        int64_t a, b;
+        whole_t x, y;
+        run_of(sample, part, &a, &b);
+        places_of(frame, line, a, 0, &x, &y);
+        const whole_t at = (y * w + x) * bytes;
+        for (int n = 0; n < RUN; n++) {
+            const uint8_t* const pixel = frame->picture.data + at[n];
+            const bool counts = a + 2 * n <= b;
+            __builtin_prefetch(pixel);
+            places->pixel[RUN * part + n] = frame->mosaic || counts ? pixel : BLACK;
+            if (frame->mosaic) {
+                places->there[RUN * part + n] = counts ? ~0u : 0u;
+            }
+        }
+        if (frame->mosaic) {
+            const whole_t column = ((x ^ (int32_t)phase) & 1) - 1, row = ((y ^ (int32_t)(phase >> 1)) & 1) - 1;
+            memcpy(places->column + RUN * part, &column, sizeof column);
+            memcpy(places->row + RUN * part, &row, sizeof row);
+        }
+    }
 }
 
 INLINE uint32_t four_at(const uint8_t* const at)
@@ -128,24 +136,25 @@ static void sum_of_run(const frame_t* const frame, const int64_t line, const int
                        uint32_t sum[3])
 {
     sum[0] = sum[1] = sum[2] = 0;
-    for (int64_t i = a; i <= b; i += 2) {
-        int64_t x, y;
-        place_of(frame, line_of(line, i - a, frame->lines), i, &x, &y);
-        const pixel_t own = pixel_of(&frame->picture, x, y, frame->mosaic);
-        sum[0] += own.blue;
-        sum[1] += own.green;
-        sum[2] += own.red;
+    for (int64_t i = 0; i <= b - a; i += 2 * RUN) {
+        whole_t x, y;
+        places_of(frame, line, a, i, &x, &y);
+        for (int n = 0; n < RUN && i + 2 * n <= b - a; n++) {
+            const pixel_t own = pixel_of(&frame->picture, x[n], y[n], frame->mosaic);
+            sum[0] += own.blue;
+            sum[1] += own.green;
+            sum[2] += own.red;
+        }
     }
 }
 
 INLINE void light_of(const frame_t* const frame, const int64_t* const direction, const int32_t* const samples,
                      const int64_t slits, double* const light, double* const bright, const int64_t n)
 {
-    static const int64_t STARTS[4] = {0, BOTTOM, BOTTOM + STRIPE, PLACES};
     places_t places[AHEAD];
     uint32_t blue_red[PLACES], greens[PLACES];
-    double scales[STRIPE + 1];
-    for (int64_t k = 1; k <= STRIPE; k++) {
+    double scales[RUN + 1];
+    for (int64_t k = 1; k <= RUN; k++) {
         scales[k] = (double)(float)(1.0 / (double)k);
     }
     for (int64_t s = 0; s < least(AHEAD, slits); s++) {
@@ -164,9 +173,9 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
             const int64_t size = (b - a) / 2 + 1;
             uint32_t sum[3];
             double scale;
-            if (size <= STRIPE) {
+            if (size <= RUN) {
                 uint32_t both = 0, green = 0;
-                for (int64_t k = STARTS[part]; k < STARTS[part + 1]; k++) {
+                for (int k = RUN * part; k < RUN * (part + 1); k++) {
                     if (frame->mosaic) {
                         both += blue_red[k];
                         green += greens[k];
@@ -203,9 +212,9 @@ INLINE void light_of(const frame_t* const frame, const int64_t* const direction,
 }
 
 // light (6, n): blue, green, red of the stripe inside, then of that outside, of the first `size` slits; bright (n,):
-// the strongest of either, together. ways (j, 4): x and y of a line's sample 0 and its step, with a half, times 2^32;
+// the strongest of either, together. ways (j, 4): x and y of a line's sample 0, with a half, and its step, px;
 // first: of the samples that slits are counted from.
-void rings_light(const picture_t* const picture, const bool mosaic, const int64_t* const ways, const int64_t lines,
+void rings_light(const picture_t* const picture, const bool mosaic, const double* const ways, const int64_t lines,
                  const int64_t first, const int64_t* const direction, const int32_t* const samples, const int64_t size,
                  double* const light, double* const bright, const int64_t n)
 {

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "native.h"
+#include "rings_by_ring.h"
 #include "selection.h"
 
 #define NONE (-1)
@@ -70,16 +71,18 @@ static void closed(double* const row, const int64_t j)
 // (n,), px: than its ring around there. width (n,); deviation (c,), of which
 // `chosen` is each slit's: of the wall's radius from the pipe's. bright (n,): its
 // stripes' light. step (k,), mm: how much two neighbours may differ. cosine, sine (j,). every: slits between two that a
-// ring's width is learnt from; reach, neighbours: directions; company: slits. work (w,), at least n and 6 (j + 16).
+// ring's width is learnt from; reach, neighbours: directions; company: slits. work (w,), at least n and 6 (j +
+// 16), order (o,), at least n + 1: room to work in.
 DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, const double* const width,
                        const double* const bright, const int32_t* const chosen, const double* const deviation,
                        const double pipe, const double* const step, const double* const cosine,
                        const double* const sine, const double* const limits, const int64_t every, const int64_t reach,
                        const int64_t neighbours, const int64_t company, const int64_t size, double* const work,
-                       int64_t* const slit, int64_t* const counts, double* const wider, const int64_t n,
-                       const int64_t c, const int64_t k, const int64_t j, const int64_t l, const int64_t w)
+                       int32_t* const order, int64_t* const slit, int64_t* const counts, double* const wider,
+                       const int64_t n, const int64_t c, const int64_t k, const int64_t j, const int64_t l,
+                       const int64_t w, const int64_t o)
 {
-    const int64_t slits = least(size, n), room = j + 2 * EDGE, asked = bounded(neighbours, 0, EDGE);
+    const int64_t slits = least(least(size, n), o - 1), room = j + 2 * EDGE, asked = bounded(neighbours, 0, EDGE);
     double* const light = work;             // by direction, EDGE of the other end before and after
     double* const place = work + room;      // NaN: none
     double* const ratio = work + 2 * room;  // of some of the ring's slits
@@ -91,32 +94,33 @@ DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, cons
     if (j < 2 * EDGE || w < 6 * room || w < slits) {
         return;
     }
-    int64_t named = 0;
+    by_ring_t list = by_ring(ring, n, NULL, slits, k);
     for (int64_t s = 0; s < slits; s++) {
-        work[named] = width[s];
-        named += ring[s] != NONE;
+        order[place_in(&list, ring[s])] = (int32_t)s;
+    }
+    const int64_t named = list.first[RINGS_MOST];
+    for (int64_t i = 0; i < named; i++) {
+        work[i] = width[order[i]];
     }
     const double frame = middle(work, named);
-    for (int64_t r = 0; r < k; r++) {
-        int64_t members = 0, some = 0;
+    for (int64_t r = 0; r < least(k, RINGS_MOST); r++) {
+        const int32_t* const own = order + list.first[r];
+        const int64_t members = least(list.first[r + 1] - list.first[r], j);
+        int64_t some = 0;
         for (int64_t i = 0; i < j; i++) {
             slit[i] = NONE;
             light[EDGE + i] = 0.0;
             place[EDGE + i] = NOTHING;
         }
-        for (int64_t s = 0; s < slits; s++) {
-            if (ring[s] != r || members == j) {
-                continue;
-            }
-            values[members] = width[s];
-            if (members % every == 0) {
-                const int64_t at = bounded(direction[s], 0, j - 1);
-                ratio[some] = width[s];
-                even[some] = cosine[at];
-                odd[some] = sine[at];
-                some++;
-            }
-            members++;
+        for (int64_t i = 0; i < members; i++) {
+            values[i] = width[own[i]];
+        }
+        for (int64_t i = 0; i < members; i += every) {
+            const int64_t at = bounded(direction[own[i]], 0, j - 1);
+            ratio[some] = width[own[i]];
+            even[some] = cosine[at];
+            odd[some] = sine[at];
+            some++;
         }
         if (members == 0) {
             continue;
@@ -130,11 +134,8 @@ DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, cons
         const double noise = limits[WIDTH_NOISE] * about.spread / (limits[WIDE] - 1.0);
         const double slack = held(noise, 1.0, 2.0);
         const double narrowest = 1.0 - (1.0 - limits[NARROW]) * slack, widest = 1.0 + (limits[WIDE] - 1.0) * slack;
-        for (int64_t s = 0; s < slits; s++) {
-            if (ring[s] != r) {
-                continue;
-            }
-            const int64_t at = bounded(direction[s], 0, j - 1);
+        for (int64_t i = list.first[r]; i < list.first[r + 1]; i++) {
+            const int64_t s = order[i], at = bounded(direction[s], 0, j - 1);
             const double around_there = about.mean + about.even * cosine[at] + about.odd * sine[at];
             const double expected = held(around_there, limits[NARROW], limits[WIDE]);
             const double part = width[s] / usual / expected;
@@ -149,16 +150,16 @@ DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, cons
             }
         }
         closed(light, j);
-        for (int64_t i = 0; i < j; i++) {
-            if (slit[i] == NONE) {
-                continue;
-            }
-            double brightest = 0.0;
-            for (int64_t d = -bounded(reach, 0, EDGE); d <= bounded(reach, 0, EDGE); d++) {
+        double* const brightest = even;
+        memset(brightest, 0, (size_t)j * sizeof *brightest);
+        for (int64_t d = -bounded(reach, 0, EDGE); d <= bounded(reach, 0, EDGE); d++) {
+            for (int64_t i = 0; i < j; i++) {
                 const double other = light[EDGE + i + d];
-                brightest = other > brightest ? other : brightest;
+                brightest[i] = other > brightest[i] ? other : brightest[i];
             }
-            if (light[EDGE + i] < limits[SHADE] * brightest) {
+        }
+        for (int64_t i = 0; i < j; i++) {
+            if (slit[i] != NONE && light[EDGE + i] < limits[SHADE] * brightest[i]) {
                 ring[slit[i]] = NONE;
                 place[EDGE + i] = NOTHING;
                 slit[i] = NONE;
@@ -166,13 +167,17 @@ DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, cons
             }
         }
         closed(place, j);
-        for (int64_t i = 0; i < j; i++) {
-            int64_t near = 0;
-            for (int64_t d = 1; d <= asked; d++) {
-                near += fabs(place[EDGE + i - d] - place[EDGE + i]) <= step[r];
-                near += fabs(place[EDGE + i + d] - place[EDGE + i]) <= step[r];
+        double* const near = odd;  // how many neighbours lie near
+        memset(near, 0, (size_t)j * sizeof *near);
+        for (int64_t d = 1; d <= asked; d++) {
+            for (int64_t i = 0; i < j; i++) {
+                const double here = place[EDGE + i];
+                near[i] += fabs(place[EDGE + i - d] - here) <= step[r] ? 1.0 : 0.0;
+                near[i] += fabs(place[EDGE + i + d] - here) <= step[r] ? 1.0 : 0.0;
             }
-            if (slit[i] != NONE && near < company) {
+        }
+        for (int64_t i = 0; i < j; i++) {
+            if (slit[i] != NONE && near[i] < (double)company) {
                 ring[slit[i]] = NONE;
                 counts[2]++;
             }
@@ -188,15 +193,12 @@ DOOR void rings_usual_widths(const int64_t* const ring, const double* const widt
                              const int64_t w, const int64_t k)
 {
     const int64_t slits = least(least(size, n), w - 1);
+    by_ring_t list = by_ring(ring, n, NULL, slits, k);
+    for (int64_t s = 0; s < slits; s++) {
+        work[place_in(&list, ring[s])] = width[s];
+    }
     for (int64_t r = 0; r < k; r++) {
-        int64_t members = 0;
-        for (int64_t s = 0; s < slits; s++) {
-            work[members] = width[s];
-            members += ring[s] == r;
-        }
-        out[r] = 0.0;
-        if (members >= most(fewest, 1)) {
-            out[r] = halfway(work, members);
-        }
+        const int64_t first = list.first[least(r, RINGS_MOST)], members = list.first[least(r + 1, RINGS_MOST)] - first;
+        out[r] = members >= most(fewest, 1) ? halfway(work + first, members) : 0.0;
     }
 }

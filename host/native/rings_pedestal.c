@@ -70,10 +70,17 @@ DOOR int64_t rings_pedestal(const uint8_t* const image, const int64_t phase, con
     memset(counted, 0, sizeof counted);
     for (int64_t y = 0; y < a; y++) {
         const int64_t row = least(y * step + step / 4, h - 1), next = least(row + step, h - 1);
-        for (int64_t x = 0; x < b; x++) {
+        const int64_t inside = c == IN_COLOURS && step / 4 < w ? least(b, (w - 1 - step / 4) / step + 1) : 0;
+        const uint8_t* at = image + c * (row * w + step / 4);
+        for (int64_t x = 0; x < inside; x++, at += c * step) {
+            __builtin_prefetch(at + c * (next - row) * w);  // places are far apart
+            const uint8_t top = at[0] > at[1] ? at[0] : at[1];
+            strongest[y * b + x] = top > at[2] ? top : at[2];
+        }
+        for (int64_t x = inside; x < b; x++) {
             const int64_t column = least(x * step + step / 4, w - 1);
-            __builtin_prefetch(image + c * (next * w + column));  // places are far apart
             if (c != IN_COLOURS) {
+                __builtin_prefetch(image + next * w + column);
                 __builtin_prefetch(image + most(next - 1, 0) * w + column);
                 __builtin_prefetch(image + least(next + 1, h - 1) * w + column);
             }

@@ -12,7 +12,7 @@ typedef uint8_t bytes_t __attribute__((vector_size(16), aligned(1), may_alias));
 #define PROBE_LEVELS 256
 #define AHEAD 64           // bytes of a cache line
 #define CELLS 64           // of a mosaic that are worked on side by side; even
-#define ROWS_AHEAD 8       // that are fetched while one is worked on ..
+#define ROWS_AHEAD 4       // that are fetched while one is worked on ..
 #define CELL_ROWS_AHEAD 2  // .. and of a mosaic, whose rows are a third as long
 
 // The level below or at which that part of what was counted lies.

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "native.h"
+#include "rings_by_ring.h"
 #include "selection.h"
 
 // What rings.uncertainty passes as `limits`, in this order; units and reasons stand there.
@@ -131,18 +132,23 @@ DOOR void rings_sigma(const int64_t* const kept, const int64_t* const ring, cons
     memset(table, 0, (size_t)(k * j) * sizeof *table);
     of_pose(points, n, all, rotation, shift, covariance, work, pose);
     for (int64_t i = 0; i < all; i++) {
-        table[bounded(ring[bounded(kept[i], 0, s - 1)], 0, k - 1) * j +
-              bounded(direction[bounded(kept[i], 0, s - 1)], 0, j - 1)] = work[i];
+        const int64_t m = bounded(kept[i], 0, s - 1);
+        table[bounded(ring[m], 0, k - 1) * j + bounded(direction[m], 0, j - 1)] = work[i];
+    }
+    by_ring_t list = by_ring(ring, s, kept, all, k);
+    for (int64_t i = 0; i < all; i++) {
+        const int64_t m = bounded(kept[i], 0, s - 1);
+        work[place_in(&list, ring[m])] = blur[m];
     }
     for (int64_t q = 0; q < k; q++) {
-        of[q] = ring_of(table + q * j, j, limits, mm_per_px[q], work);
-        int64_t members = 0;
-        for (int64_t i = 0; i < all; i++) {
-            work[members] = blur[bounded(kept[i], 0, s - 1)];
-            members += ring[bounded(kept[i], 0, s - 1)] == q;
-        }
-        const double usual = middle(work, members);
+        const int64_t first = list.first[least(q, RINGS_MOST)], end = list.first[least(q + 1, RINGS_MOST)];
+        const double usual = middle(work + first, end - first);
         of[q].usual = usual > 1e-9 ? usual : 1e-9;
+    }
+    for (int64_t q = 0; q < k; q++) {
+        const double usual = of[q].usual;
+        of[q] = ring_of(table + q * j, j, limits, mm_per_px[q], work);
+        of[q].usual = usual;
     }
     int64_t known = 0;
     for (int64_t q = 0; q < k && known < w; q++) {

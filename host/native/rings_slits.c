@@ -101,6 +101,28 @@ INLINE uint64_t mask_of(const uint8_t* const turning, const int64_t size)
     return mask;
 }
 
+// Samples that are looked at, one after another: of every other one those whose byte is 1.
+typedef struct {
+    const uint8_t* turning;
+    int64_t start, end;
+    uint64_t mask;
+} walk_t;
+
+// The next one; 0: there is none.
+INLINE int64_t next_of(walk_t* const walk)
+{
+    while (walk->mask == 0) {
+        walk->start += MASKED;
+        if (walk->start >= walk->end) {
+            return 0;
+        }
+        walk->mask = mask_of(walk->turning + walk->start, least(MASKED, walk->end - walk->start));
+    }
+    const int64_t i = walk->start + 2 * __builtin_ctzll(walk->mask);
+    walk->mask &= walk->mask - 1;
+    return i;
+}
+
 // Alternating tops and bottoms of a line: high[k] low[k] high[k + 1]; one is confirmed when the next has clearly begun.
 // Every other sample will do: the line is smooth, and edges are looked for between tops and bottoms sample by sample.
 // turning: room to work in. Returns how many bottoms; *crowded counts lines with more than there is room for.
@@ -118,44 +140,44 @@ static int64_t turning_points(const line_t* const line, const int64_t per_line, 
     for (int64_t i = most(line->length - 7, 7); i < line->length; i++) {
         turning[i] = 1;  // the last ones are all looked at
     }
+    walk_t walk = {turning, 7 - MASKED, line->length - MARGIN, 0};
     int64_t k = 0, best = MARGIN;
-    bool rising = true;
     float value = smooth[best];
-    for (int64_t start = 7; start < line->length - MARGIN; start += MASKED) {
-        uint64_t mask = mask_of(turning + start, least(MASKED, line->length - MARGIN - start));
-        while (mask != 0) {
-            const int64_t i = start + 2 * __builtin_ctzll(mask);
-            mask &= mask - 1;
+    for (;;) {
+        int64_t i = next_of(&walk);
+        for (; i > 0; i = next_of(&walk)) {  // until clearly below the top
             const float s = smooth[i];
-            if (rising) {
-                if (s > value) {
-                    best = i;
-                    value = s;
-                } else if (s < fall * value && value > floor_level && value - s > 0.5f * floor_level) {
-                    high[k] = best;
-                    rising = false;
-                    best = i;
-                    value = s;
-                }
-            } else if (s < value) {
-                best = i;
-                value = s;
-            } else if (fall * s > value && s - value > floor_level) {
-                if (k == per_line) {
-                    (*crowded)++;
-                    return k;  // the last top is the one before this bottom
-                }
-                low[k++] = best;
-                rising = true;
-                best = i;
-                value = s;
+            if ((s < fall * value) & (value > floor_level) & (value - s > 0.5f * floor_level)) {
+                break;
             }
+            best = s > value ? i : best;
+            value = s > value ? s : value;
         }
-    }
-    if (rising) {
         high[k] = best;
+        if (i == 0) {
+            return k;
+        }
+        best = i;
+        value = smooth[i];
+        for (i = next_of(&walk); i > 0; i = next_of(&walk)) {  // until clearly above the bottom
+            const float s = smooth[i];
+            if ((fall * s > value) & (s - value > floor_level)) {
+                break;
+            }
+            best = s < value ? i : best;
+            value = s < value ? s : value;
+        }
+        if (i == 0) {
+            return k;
+        }
+        if (k == per_line) {
+            (*crowded)++;
+            return k;  // the last top is the one before this bottom
+        }
+        low[k++] = best;
+        best = i;
+        value = smooth[i];
     }
-    return k;
 }
 
 // The nearest edge from a bottom on, in steps of `way`: the steepest place up to where the light is back and level
@@ -263,17 +285,23 @@ static void dark_ones(const float shallow, const int64_t first, float* const wor
     memcpy(work, slits->depth, (size_t)slits->size * sizeof *work);
     const float limit = shallow * middle_f(work, slits->size);
     int64_t kept = 0;
-    for (int64_t s = 0; s < slits->size; s++) {
+    while (kept < slits->size && slits->depth[kept] >= limit) {
+        kept++;  // most frames have none that is not
+    }
+    for (int64_t s = kept; s < slits->size; s++) {
         if (!(slits->depth[s] >= limit)) {
             continue;
         }
         slits->direction[kept] = slits->direction[s];
-        slits->place[kept] = slits->place[s] + (double)first;
+        slits->place[kept] = slits->place[s];
         slits->width[kept] = slits->width[s];
         slits->blur[kept] = slits->blur[s];
         slits->depth[kept] = slits->depth[s];
         memmove(slits->samples + 5 * kept, slits->samples + 5 * s, 5 * sizeof *slits->samples);
         kept++;
+    }
+    for (int64_t s = 0; s < kept; s++) {
+        slits->place[s] += (double)first;
     }
     slits->size = kept;
 }
@@ -286,7 +314,7 @@ static void dark_ones(const float shallow, const int64_t first, float* const wor
 DOOR void rings_find(const uint8_t* const image, const int64_t phase, const uint8_t* const top,
                      const int64_t* const stop, const int64_t first, const int64_t m, const float* const taps,
                      const float* const limits, const int64_t per_line, const int64_t clear, const int64_t beside,
-                     const float shallow, const int64_t* const ways, float* const work, uint8_t* const marks,
+                     const float shallow, const double* const ways, float* const work, uint8_t* const marks,
                      float* const depths, int64_t* const direction, double* const place, double* const width,
                      double* const blur, float* const depth, int32_t* const samples, double* const light,
                      double* const bright, int64_t* const counts, const int64_t h, const int64_t w, const int64_t b,

@@ -154,7 +154,7 @@ class Candidates:
         self.listed = pattern, *fits, self._counts
         self._list = _list.held(colour, ..., *self.listed)
         room = rings * min(slits, LINE_MOST)
-        work = np.array([SKIP, PLACE, MARGIN]), np.empty((2, room), np.int64), np.empty((3, room))
+        work = np.array([SKIP, PLACE, MARGIN]), np.empty(most), np.empty((2, room), np.int64), np.empty((3, room))
         self._aligned = (direction, ..., *fits, self.deviation, ...), (..., ..., *work, self.named, self.chosen)
         self.lie_at(None, None, None)
 
@@ -241,6 +241,7 @@ _align = door(
     "f8 radius",
     "f8 tolerance",
     "f8[3] prices",
+    "f8[n]! worth",
     "i8[2,w]! places",
     "f8[3,w]! work",
     "i8[c]! ring",

@@ -90,7 +90,7 @@ class Outliers:
         work, self._counts = np.empty(max(most + 1, 6 * (directions + 16))), np.zeros(3, np.int64)
         fixed = pipe_radius_mm, np.array(step_mm, np.float64), np.cos(turn), np.sin(turn), limits
         asked = WIDTH_EVERY, SHADE_REACH, NEIGHBOURS, COMPANY
-        room = work, np.empty(directions, np.int64), self._counts, self.wider
+        room = work, np.empty(most + 1, np.int32), np.empty(directions, np.int64), self._counts, self.wider
         self._reject = _reject.held(*slits, *fixed, *asked, ..., *room)
         self._usual = np.empty(len(step_mm))
         self._usual_widths = _usual_widths.held(slits.ring, slits.width, ..., ..., work, self._usual)
@@ -128,6 +128,7 @@ _reject = door(
     "i8 company",
     "i8 size",
     "f8[w]! work",
+    "i4[o]! order",
     "i8[j]! slit",
     "i8[3]! counts",
     "f8[n]! wider",

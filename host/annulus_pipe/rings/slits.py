@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.native import Like, door
 from annulus_pipe.rings.polar import PolarGrid, Unrolled
 
@@ -117,12 +118,11 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     return table.slits()
 
 
-def _ways(grid: PolarGrid) -> NDArray[np.int64]:
-    """(J, 4) x and y, 2^-32 px, of each line's first sample and of its step; half a pixel is added, so that what lies
-    above the point is the nearest pixel."""
+def _ways(grid: PolarGrid) -> FloatArray:
+    """(J, 4) x and y of each line's first sample and of its step, px; half a pixel is added, so that what lies before
+    the point is the nearest pixel."""
     way = np.stack([grid.cosine, grid.sine], axis=1)
-    start = grid.centre + grid.first * way + 0.5
-    return np.asarray(np.rint(2.0**32 * np.hstack([start, grid.step * way])), np.int64)
+    return np.hstack([grid.centre + grid.first * way + 0.5, grid.step * way])
 
 
 def smoothing(spacing_px: float) -> NDArray[np.float32]:
@@ -146,7 +146,7 @@ _find = door(
     "i8 clear",
     "i8 beside",
     "f4 shallow",
-    "i8[j,4] ways",
+    "f8[j,4] ways",
     "f4[r]! work",
     "u1[q]! marks",
     "f4[n]! depths",
