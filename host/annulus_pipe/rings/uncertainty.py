@@ -95,8 +95,8 @@ class KeptSlits(NamedTuple):
 
 
 class PointErrors:
-    """`point_sigma` in memory that is used again for each frame. usual_width (K,) : of each ring's slits the median, px;
-    of fewer than RING_POINTS 0."""
+    """`point_sigma` in memory that is used again for each frame. usual_width (K,) : each ring's median, px, 0 of
+    fewer than RING_POINTS."""
 
     def __init__(self, slits: KeptSlits, optics: RingOptics, calibrated_mm: FloatArray, bias_px: float) -> None:
         (rings, directions), most = calibrated_mm.shape, len(slits.kept)
