@@ -53,7 +53,7 @@ build() {
 	made=$(ours from "$image")
 	ours mount "$made" >"$folder/mounted"
 	ours inspect --type image --format '{{range .OCIv1.Config.Env}}{{println .}}{{end}}' "$image" | grep . >"$folder/environment"
-	row "image of $(ours inspect --type image --format '{{index .OCIv1.Config.Labels "org.opencontainers.image.revision"}}' "$image")" "$(since "$begun")" "$(du -smx "$(cat "$folder/mounted")" | cut -f1) MB, of them loops $(du -sm "$(cat "$folder/mounted")/opt/annulus/compiled" | cut -f1) MB"
+	row "image of $(ours inspect --type image --format '{{index .OCIv1.Config.Labels "org.opencontainers.image.revision"}}' "$image")" "$(since "$begun")" "$(du -smx "$(cat "$folder/mounted")" | cut -f1) MB"
 	rm -rf "$folder/give" "$folder/scratch" && mkdir -p "$folder/give"
 	"$here/tools/deploy/certificates.sh" "$folder/give/tls" >/dev/null
 	[ -z "$scan" ] || cp -r "$scan" "$folder/give/scan"

@@ -13,6 +13,7 @@ from recorded import Call, given, recording, with_other
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.rings.reconstructor import Reconstructor
 from annulus_pipe.stereo import StereoReconstructor
+from annulus_pipe.twin.worlds import WORLDS
 from annulus_pipe.wall.survey import survey
 from tests import kept
 
@@ -25,6 +26,12 @@ def profiles() -> None:
         other = hostile_frames.frame("rings", 5, *image.shape[:2])
         for picture in (image, hostile_frames.mosaic_of(image, "rggb"), other):
             reconstructor.profile(picture, frame=0, z_mm=5.0)
+
+
+def slits_by_order() -> None:
+    """As colours are learnt."""
+    reconstructor = Reconstructor(hostile_frames.heads()["slits"], hostile_frames.DIRECTIONS)
+    assert len(reconstructor.slits_by_order(hostile_frames.seen("slits"))[0].position)
 
 
 def stereo_profile() -> None:
@@ -46,7 +53,12 @@ def drawn_frame() -> None:
         line_heads.picture(hostile_frames.worlds()[name].scaled(80), 40.0)
 
 
-WORK: list[Callable[[], None]] = [profiles, stereo_profile, whole_survey, drawn_frame]
+def drawn_course() -> None:
+    """Of a pipe of several pieces. Its maps are large: where seconds count it is left out."""
+    line_heads.picture(WORLDS["butt"](1).scaled(80), 40.0)
+
+
+WORK: list[Callable[[], None]] = [profiles, slits_by_order, stereo_profile, whole_survey, drawn_frame]
 
 
 @functools.cache
