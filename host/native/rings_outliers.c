@@ -185,20 +185,3 @@ DOOR void rings_reject(int64_t* const ring, const int64_t* const direction, cons
     }
     (void)l;
 }
-
-// out (k,): the median width of each ring's slits, of the first `size`; 0 of fewer than `fewest`. work (w,), at least
-// n.
-DOOR void rings_usual_widths(const int64_t* const ring, const double* const width, const int64_t size,
-                             const int64_t fewest, double* const work, double* const out, const int64_t n,
-                             const int64_t w, const int64_t k)
-{
-    const int64_t slits = least(least(size, n), w - 1);
-    by_ring_t list = by_ring(ring, n, NULL, slits, k);
-    for (int64_t s = 0; s < slits; s++) {
-        work[place_in(&list, ring[s])] = width[s];
-    }
-    for (int64_t r = 0; r < k; r++) {
-        const int64_t first = list.first[least(r, RINGS_MOST)], members = list.first[least(r + 1, RINGS_MOST)] - first;
-        out[r] = members >= most(fewest, 1) ? halfway(work + first, members) : 0.0;
-    }
-}

@@ -112,16 +112,27 @@ static void of_pose(const double* const points, const int64_t n, const int64_t s
     }
 }
 
+// Values (s,) of slits that were kept, ring by ring.
+static void lay_out(by_ring_t list, const int64_t* const ring, const int64_t s, const int64_t* const kept,
+                    const int64_t size, const double* const values, double* const out)
+{
+    for (int64_t i = 0; i < size; i++) {
+        const int64_t m = bounded(kept[i], 0, s - 1);
+        out[place_in(&list, ring[m])] = values[m];
+    }
+}
+
 // out (o,) and drawn (k,): the sigmas of `point_sigma`, mm, of the first `size` points, which are slits kept (n,);
-// points (3, n), camera frame. covariance (4, 4): of rx, ry, tx, ty. bias: px, of every place. table (k, j), rings (k,
-// 5), work (w,): room to work in.
+// points (3, n), camera frame. covariance (4, 4): of rx, ry, tx, ty. bias: px, of every place. usual_width (k,),
+// samples: the median of each ring's, 0 of fewer than `fewest`. table (k, j), rings (k, 5), work (w,): room to work in.
 DOOR void rings_sigma(const int64_t* const kept, const int64_t* const ring, const int64_t* const direction,
-                      const double* const points, const double* const blur, const double* const wider,
-                      const bool* const clipped, const double* const rotation, const double* const shift,
-                      const double* const covariance, const double* const mm_per_px, const double* const calibrated,
-                      const double bias, const double* const limits, const int64_t size, double* const table,
-                      double* const rings, double* const work, double* const pose, float* const out,
-                      double* const drawn, const int64_t n, const int64_t s, const int64_t k, const int64_t j,
+                      const double* const points, const double* const blur, const double* const width,
+                      const double* const wider, const bool* const clipped, const double* const rotation,
+                      const double* const shift, const double* const covariance, const double* const mm_per_px,
+                      const double* const calibrated, const double bias, const double* const limits,
+                      const int64_t fewest, const int64_t size, double* const table, double* const rings,
+                      double* const work, double* const pose, float* const out, double* const drawn,
+                      double* const usual_width, const int64_t n, const int64_t s, const int64_t k, const int64_t j,
                       const int64_t l, const int64_t w, const int64_t o)
 {
     const int64_t all = least(size, least(n, o));
@@ -135,14 +146,16 @@ DOOR void rings_sigma(const int64_t* const kept, const int64_t* const ring, cons
         const int64_t m = bounded(kept[i], 0, s - 1);
         table[bounded(ring[m], 0, k - 1) * j + bounded(direction[m], 0, j - 1)] = work[i];
     }
-    by_ring_t list = by_ring(ring, s, kept, all, k);
-    for (int64_t i = 0; i < all; i++) {
-        const int64_t m = bounded(kept[i], 0, s - 1);
-        work[place_in(&list, ring[m])] = blur[m];
-    }
+    const by_ring_t list = by_ring(ring, s, kept, all, k);
+    lay_out(list, ring, s, kept, all, width, work);
     for (int64_t q = 0; q < k; q++) {
-        const int64_t first = list.first[least(q, RINGS_MOST)], end = list.first[least(q + 1, RINGS_MOST)];
-        const double usual = middle(work + first, end - first);
+        const int64_t first = list.first[least(q, RINGS_MOST)], members = list.first[least(q + 1, RINGS_MOST)] - first;
+        usual_width[q] = members >= most(fewest, 1) ? halfway(work + first, members) : 0.0;
+    }
+    lay_out(list, ring, s, kept, all, blur, work);
+    for (int64_t q = 0; q < k; q++) {
+        const int64_t first = list.first[least(q, RINGS_MOST)], members = list.first[least(q + 1, RINGS_MOST)] - first;
+        const double usual = middle(work + first, members);
         of[q].usual = usual > 1e-9 ? usual : 1e-9;
     }
     for (int64_t q = 0; q < k; q++) {

@@ -17,26 +17,43 @@ INLINE uint16_t weighed(const uint16_t two, const uint16_t fx)
     return (uint16_t)((uint16_t)((two & 255) << 5) + (uint16_t)((uint16_t)((two >> 8) - (two & 255)) * fx));
 }
 
+INLINE void fetch(const uint8_t* const plane, const int64_t w, const uint32_t* const address, const int64_t size,
+                  uint16_t above[BLOCK], uint16_t below[BLOCK])
+{
+    for (int64_t k = 0; k < size; k++) {
+        const uint8_t* const at = plane + address[k];
+        memcpy(&above[k], at, 2);
+        memcpy(&below[k], at + w, 2);
+    }
+}
+
+INLINE void weigh(const uint16_t above[BLOCK], const uint16_t below[BLOCK], const uint16_t* const part,
+                  const int64_t size, uint8_t* const restrict out)
+{
+    for (int64_t k = 0; k < size; k++) {
+        const uint16_t fx = part[k] & 31, fy = (uint16_t)(part[k] << 5) & 0x7C00;  // 2^10 fy
+        const uint16_t top = weighed(above[k], fx), low = weighed(below[k], fx);
+        // (32 - fy) top + fy low, half of 1024 and over that; of the product of 16 bits the upper 16 are fy / 32
+        const uint16_t more = (uint16_t)(2 * (uint16_t)(low - top + RAISED));  // never negative
+        const uint16_t part_of = (uint16_t)((uint32_t)more * fy >> 16);
+        out[k] = (uint8_t)((uint16_t)(top + part_of - (fy >> 10) * (RAISED / 32) + 16) >> 5);
+    }
+}
+
 // Bilinear samples of one line: address of the upper left pixel, and in part 32 fy + fx, 1/32 px.
 static void sample(const uint8_t* const plane, const int64_t w, const uint32_t* const address,
                    const uint16_t* const part, const int64_t size, uint8_t* const out)
 {
-    uint16_t above[BLOCK], below[BLOCK];
-    for (int64_t start = 0; start < size; start += BLOCK) {
-        const int64_t n = least(size - start, BLOCK);
-        for (int64_t k = 0; k < n; k++) {
-            const uint8_t* const at = plane + address[start + k];
-            memcpy(&above[k], at, 2);
-            memcpy(&below[k], at + w, 2);
+    // A block is weighed when the next one has been fetched: what was just stored in pieces cannot be loaded as a
+    // whole.
+    uint16_t above[2][BLOCK], below[2][BLOCK];
+    fetch(plane, w, address, least(size, BLOCK), above[0], below[0]);
+    for (int64_t start = 0, now = 0; start < size; start += BLOCK, now = 1 - now) {
+        const int64_t next = start + BLOCK;
+        if (next < size) {
+            fetch(plane, w, address + next, least(size - next, BLOCK), above[1 - now], below[1 - now]);
         }
-        for (int64_t k = 0; k < n; k++) {
-            const uint16_t fx = part[start + k] & 31, fy = (uint16_t)(part[start + k] << 5) & 0x7C00;  // 2^10 fy
-            const uint16_t top = weighed(above[k], fx), low = weighed(below[k], fx);
-            // (32 - fy) top + fy low, half of 1024 and over that; of the product of 16 bits the upper 16 are fy / 32
-            const uint16_t more = (uint16_t)(2 * (uint16_t)(low - top + RAISED));  // never negative
-            const uint16_t part_of = (uint16_t)((uint32_t)more * fy >> 16);
-            out[start + k] = (uint8_t)((uint16_t)(top + part_of - (fy >> 10) * (RAISED / 32) + 16) >> 5);
-        }
+        weigh(above[now], below[now], part + start, least(size - start, BLOCK), out + start);
     }
 }
 

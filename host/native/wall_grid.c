@@ -193,22 +193,33 @@ DOOR void smoothed(const float* const field, const int64_t rows, float* const li
 }
 
 // Least and greatest of the seen cells about each, two columns each way and a row; infinite where there is none.
-DOOR void neighbour_extremes(const double* const grid, double* const low, double* const high, const int64_t z,
-                             const int64_t a)
+// line (2, b) of b = a + 4 values, columns going round: room.
+DOOR void neighbour_extremes(const double* const grid, double* const line, double* const low, double* const high,
+                             const int64_t z, const int64_t a, const int64_t b)
 {
-    for (int64_t row = 0; row < z; row++) {
+    double *const least_of = line, *const most_of = line + b;
+    for (int64_t row = 0; row < (b == a + 4 && a >= 2 ? z : 0); row++) {
+        double *const lowest = low + row * a, *const highest = high + row * a;
         for (int64_t j = 0; j < a; j++) {
-            double lowest = (double)INFINITY, highest = -(double)INFINITY;
-            for (int64_t r = most(row - 1, 0); r < least(row + 2, z); r++) {
-                for (int64_t step = -2; step <= 2; step++) {
-                    const double value = grid[r * a + around(j + step, a)];
-                    const bool counts = isfinite(value) && (r != row || step != 0);
-                    lowest = counts && value < lowest ? value : lowest;
-                    highest = counts && value > highest ? value : highest;
+            lowest[j] = (double)INFINITY;
+            highest[j] = -(double)INFINITY;
+        }
+        for (int64_t r = most(row - 1, 0); r < least(row + 2, z); r++) {
+            for (int64_t j = 0; j < b; j++) {
+                const double value = grid[r * a + (j < 2 ? j + a - 2 : j < a + 2 ? j - 2 : j - a - 2)];
+                least_of[j] = isfinite(value) ? value : (double)INFINITY;
+                most_of[j] = isfinite(value) ? value : -(double)INFINITY;
+            }
+            for (int64_t step = 0; step <= 4; step++) {
+                if (r == row && step == 2) {
+                    continue;  // the cell itself
+                }
+                for (int64_t j = 0; j < a; j++) {
+                    const double lower = least_of[j + step], higher = most_of[j + step];
+                    lowest[j] = lower < lowest[j] ? lower : lowest[j];
+                    highest[j] = higher > highest[j] ? higher : highest[j];
                 }
             }
-            low[row * a + j] = lowest;
-            high[row * a + j] = highest;
         }
     }
 }

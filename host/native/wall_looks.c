@@ -1,21 +1,43 @@
 // What every point of a scan is to the pipe and to the other frames: how far it lies off the shape, and which points of
 // neighbouring frames look at the same spot.
 
+#include <string.h>
+
 #include "mathematics.h"
 
-enum { SHAPE = 5 };
+enum { SHAPE = 5, BLOCK = 128 };
 static const double DEGREES = 57.295779513082321;  // a radian
+
+INLINE void about_axis(const double* const x, const double* const y, const bool clock, double* const radius,
+                       double* const angle)
+{
+    for (int64_t i = 0; i < BLOCK; i++) {
+        const double turn = clock ? arc_tangent(x[i], -y[i]) : arc_tangent(y[i], x[i]), degrees = DEGREES * turn;
+        radius[i] = sqrt(x[i] * x[i] + y[i] * y[i]);
+        angle[i] = !clock ? turn : degrees < 0.0 ? degrees + 360.0 : degrees;
+    }
+}
 
 // Radius, angle and z (3, n) of points (n, 3) about the axis. The angle is that of (x, y), radians from -pi to pi, or
 // that of the clock: degrees from 0 to 360, of (-y, x).
 DOOR void round_axis(const float* const points, const bool clock, double* const out, const int64_t n)
 {
-    for (int64_t i = 0; i < n; i++) {
-        const double x = (double)points[3 * i], y = (double)points[3 * i + 1];
-        const double angle = arc_tangent(clock ? x : y, clock ? -y : x), degrees = DEGREES * angle;
-        out[i] = sqrt(x * x + y * y);
-        out[n + i] = !clock ? angle : degrees < 0.0 ? degrees + 360.0 : degrees;
-        out[2 * n + i] = (double)points[3 * i + 2];
+    double x[BLOCK] = {0.0}, y[BLOCK] = {0.0}, radius[BLOCK], angle[BLOCK];
+    for (int64_t begin = 0; begin < n; begin += BLOCK) {
+        const int64_t size = least(BLOCK, n - begin);
+        for (int64_t i = 0; i < size; i++) {
+            const float* const point = points + 3 * (begin + i);
+            x[i] = (double)point[0];
+            y[i] = (double)point[1];
+            out[2 * n + begin + i] = (double)point[2];
+        }
+        if (clock) {
+            about_axis(x, y, true, radius, angle);
+        } else {
+            about_axis(x, y, false, radius, angle);
+        }
+        memcpy(out + begin, radius, (size_t)size * sizeof *out);
+        memcpy(out + n + begin, angle, (size_t)size * sizeof *out);
     }
 }
 

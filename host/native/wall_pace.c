@@ -21,14 +21,40 @@ INLINE int64_t mirrored(const int64_t at, const int64_t size)
     return there < size ? there : turn - 1 - there;
 }
 
-// One value of the average along the rows, from `at` on, or of RUN values beside one another.
+// What a bell makes of a field that is `value` as far as it reaches.
+static float level(const float* const bell, const int64_t size, const float value)
+{
+    float sum = 0.0F;
+    for (int64_t step = 0; step < size; step++) {
+        sum += bell[step] * (step ? value + value : value);
+    }
+    return sum;
+}
+
+INLINE bool is_all(const float* const values, const float value, const int64_t size)
+{
+    int64_t same = 0;
+    for (int64_t i = 0; i < size; i++) {
+        same += values[i] == value ? 1 : 0;
+    }
+    return same == size;
+}
+
+// The average along the rows of RUN columns, or of one. Where the field is 1 as far as the bell reaches (of what was
+// seen it mostly is) it is known.
 INLINE void add_rows(const float* const field, const float* const half, float* const out, const int64_t r,
                      const int64_t a, const int64_t k, const bool many)
 {
+    const float of_ones = level(half, k, 1.0F);
+    int64_t looked_at = -1, other = -1;  // rows up to which it was looked, and the last one that is not 1
     for (int64_t row = 0; row < r; row++) {
         Run sum = {0.0F}, before, after;
-        const bool is_inner = row >= k - 1 && row + k <= r;
-        for (int64_t step = 0; step < k; step++) {
+        while (looked_at < least(row + k, r) - 1) {
+            looked_at++;
+            other = is_all(field + looked_at * a, 1.0F, many ? RUN : 1) ? other : looked_at;
+        }
+        const bool is_known = other <= row - k, is_inner = row >= k - 1 && row + k <= r;
+        for (int64_t step = 0; step < (is_known ? 0 : k); step++) {
             const float* const low = field + (is_inner ? row - step : mirrored(row - step, r)) * a;
             const float* const high = field + (is_inner ? row + step : mirrored(row + step, r)) * a;
             if (!many) {
@@ -39,16 +65,18 @@ INLINE void add_rows(const float* const field, const float* const half, float* c
                 sum += half[step] * (step ? before + after : before);
             }
         }
+        sum = is_known ? sum + of_ones : sum;
         memcpy(out + row * a, &sum, many ? sizeof sum : sizeof sum[0]);
     }
 }
 
-// The same along a row, of a line that begins m values before the first.
+// The same along a row, of a line that begins m values before the first. is_known: it is `value` as far as that
+// reaches.
 INLINE void add_beside(const float* const line, const float* const beside, float* const out, const int64_t m,
-                       const bool many)
+                       const bool many, const bool is_known, const float value)
 {
     Run sum = {0.0F}, before, after;
-    for (int64_t step = 0; step < m; step++) {
+    for (int64_t step = 0; step < (is_known ? 0 : m); step++) {
         const float *const low = line + m - step, *const high = line + m + step;
         if (!many) {
             sum[0] += beside[step] * (step ? *low + *high : *low);
@@ -58,6 +86,7 @@ INLINE void add_beside(const float* const line, const float* const beside, float
             sum += beside[step] * (step ? before + after : before);
         }
     }
+    sum = is_known ? sum + value : sum;
     memcpy(out, &sum, many ? sizeof sum : sizeof sum[0]);
 }
 
@@ -71,6 +100,7 @@ DOOR void bell_averaged(const float* const field, const float* const half, const
         return;
     }
     const int64_t whole_runs = a / RUN * RUN;
+    const float of_ones = level(half, k, 1.0F), of_those = level(beside, m, of_ones);
     for (int64_t at = 0; at < whole_runs; at += RUN) {
         add_rows(field + at, half, middle_field + at, r, a, k, true);
     }
@@ -82,11 +112,17 @@ DOOR void bell_averaged(const float* const field, const float* const half, const
         for (int64_t i = -m; i < a + m; i++) {
             line[i + m] = from[mirrored(i, a)];
         }
-        for (int64_t at = 0; at < whole_runs; at += RUN) {
-            add_beside(line + at, beside, out + row * a + at, m, true);
-        }
-        for (int64_t at = whole_runs; at < a; at++) {
-            add_beside(line + at, beside, out + row * a + at, m, false);
+        int64_t looked_at = 0, other = -1;
+        for (int64_t at = 0; at < a; at += at < whole_runs ? RUN : 1) {
+            const bool many = at < whole_runs;
+            for (const int64_t end = at + 2 * m + (many ? RUN : 1); looked_at < end; looked_at++) {
+                other = line[looked_at] == of_ones ? other : looked_at;
+            }
+            if (many) {
+                add_beside(line + at, beside, out + row * a + at, m, true, other < at, of_those);
+            } else {
+                add_beside(line + at, beside, out + row * a + at, m, false, other < at, of_those);
+            }
         }
     }
 }
@@ -103,6 +139,17 @@ DOOR void row_medians(const float* const field, float* const line, float* const 
         }
         out[row] = size ? halfway_f(line, size) : (float)NAN;
     }
+}
+
+// The median size of what is seen of a field (n,); NaN of nothing. line (n,): room.
+DOOR double size_median(const float* const field, float* const line, const int64_t n)
+{
+    int64_t size = 0;
+    for (int64_t i = 0; i < n; i++) {
+        line[size] = fabsf(field[i]);
+        size += isfinite(field[i]) ? 1 : 0;
+    }
+    return size ? (double)halfway_f(line, size) : NOTHING;
 }
 
 // Adds what both of two strips show in BLOCK columns of some rows, to the columns' sums (6, a).

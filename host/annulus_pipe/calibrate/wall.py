@@ -24,7 +24,8 @@ from annulus_pipe.geometry.calibration import CAMERAS, Calibration
 from annulus_pipe.geometry.translucency import SHIFT_MAX_MM, slit_shift_mm, wall_to_dict
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.rings.colour import ColourProfile
-from annulus_pipe.rings.reconstructor import RING_POINTS, Reconstructor
+from annulus_pipe.rings.reconstructor import Reconstructor
+from annulus_pipe.rings.uncertainty import RING_POINTS
 from annulus_pipe.storage.calibration_file import load_sections, update_calibration
 from annulus_pipe.vocabulary import AnnulusError
 

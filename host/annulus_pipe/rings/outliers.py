@@ -92,17 +92,10 @@ class Outliers:
         asked = WIDTH_EVERY, SHADE_REACH, NEIGHBOURS, COMPANY
         room = work, np.empty(most + 1, np.int32), np.empty(directions, np.int64), self._counts, self.wider
         self._reject = _reject.held(*slits, *fixed, *asked, ..., *room)
-        self._usual = np.empty(len(step_mm))
-        self._usual_widths = _usual_widths.held(slits.ring, slits.width, ..., ..., work, self._usual)
 
     def reject(self, size: int) -> None:
         """Of the first `size` slits."""
         self._reject(size)
-
-    def usual_widths(self, size: int, fewest: int) -> FloatArray:
-        """(K,) the median width of each ring's slits, of the first `size`; 0 of fewer than `fewest`."""
-        self._usual_widths(size, fewest)
-        return self._usual
 
     def counts(self) -> dict[str, int]:
         """How many were set to NONE, by reason."""
@@ -132,7 +125,4 @@ _reject = door(
     "i8[j]! slit",
     "i8[3]! counts",
     "f8[n]! wider",
-)
-_usual_widths = door(
-    "rings_usual_widths", "i8[n] ring", "f8[n] width", "i8 size", "i8 fewest", "f8[w]! work", "f8[k]! out"
 )

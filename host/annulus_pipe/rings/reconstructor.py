@@ -35,7 +35,7 @@ from annulus_pipe.rings.pedestal import Pedestal, without_pedestal
 from annulus_pipe.rings.polar import PolarGrid, Unroller, polar_grid, unroll
 from annulus_pipe.rings.slits import FrameSlits, Slits, find_slits
 from annulus_pipe.rings.triangulate import CandidatePoints, RingOptics, ring_optics
-from annulus_pipe.rings.uncertainty import BIAS_PX, KeptSlits, PointErrors, calibrated
+from annulus_pipe.rings.uncertainty import BIAS_PX, RING_POINTS, KeptSlits, PointErrors, calibrated
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.pose import Fit, Fitter, sound_seed, weight_of
 from annulus_pipe.wall.profile import Profile
@@ -43,7 +43,6 @@ from annulus_pipe.wall.profile import Profile
 # Measured by topics colour (points read, wrong rings), few_rings and diameter; OVER_EXPOSED by uncertainty.
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
-RING_POINTS = 20  # with fewer a ring does not count as seen
 ROUGHLY = 400  # points that tell the pose well enough to read the rings again
 OVER_EXPOSED = 235.0  # grey levels of light, a slit's own darkness taken off
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
@@ -91,7 +90,8 @@ class _Memory:
         found, placed = (self.ring, slits.direction, chosen, slits.light, points), (self.rotation, self.shift)
         made = kept, seen, self.wall, self.light, clipped, self.of_ring, self.of_line
         self.keep = _keep.held(*found, *placed, ..., OVER_EXPOSED, ..., *made)
-        of_kept = KeptSlits(kept, self.ring, slits.direction, seen, slits.blur, self.outliers.wider, clipped)
+        widths = slits.blur, slits.width, self.outliers.wider
+        of_kept = KeptSlits(kept, self.ring, slits.direction, seen, *widths, clipped)
         self.errors = PointErrors(of_kept, optics, calibrated_mm, MOSAIC_PX if of_lines else BIAS_PX)
 
 
@@ -268,8 +268,7 @@ class Reconstructor:
         bright line, which has no edges, and behind a mirror, where rays start apart."""
         if self.calibration.kind == "line" or not self.calibration.camera.central:
             return np.zeros(0, np.float32)
-        usual = memory.outliers.usual_widths(memory.slits.size, RING_POINTS)
-        return np.asarray(0.5 * self._optics.rad_per_px * usual, np.float32)
+        return np.asarray(0.5 * self._optics.rad_per_px * memory.errors.usual_width, np.float32)
 
     def slits_by_order(self, image: Picture) -> tuple[Slits, PlacedSlits | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""

@@ -18,6 +18,7 @@ from annulus_pipe.wall.pose import Fit
 # UNKNOWN_PX by few_rings.
 STEPS = 72  # directions the calibration's share is worked out in
 LAG = 4  # directions; neighbouring lines share pixels, these do not
+RING_POINTS = 20  # with fewer a ring does not count as seen
 LEAST = 40  # values a ring's scatter is learnt from; with fewer a tenth of a pixel is taken
 UNKNOWN_PX = 0.1
 BIAS_PX = 0.0115  # an edge's place in a demosaiced image is within a fiftieth of a pixel, evenly: 0.02 / sqrt 3 ..
@@ -71,6 +72,7 @@ def point_sigma(
         direction,
         np.array(points_mm.T, np.float64, order="C"),
         np.array(edge_blur, np.float64),
+        np.zeros(size),
         np.array(width_off_px, np.float64),
         clipped,
     )
@@ -79,20 +81,22 @@ def point_sigma(
 
 
 class KeptSlits(NamedTuple):
-    """Slits that became points: kept (N,), which of all slits they are; ring, direction, edge_blur, width_off_px of all
-    slits; points (3, N) mm, camera frame, and clipped (N,) of the kept."""
+    """Slits that became points: kept (N,), which of all slits they are; ring, direction, edge_blur, width and
+    width_off_px of all slits; points (3, N) mm, camera frame, and clipped (N,) of the kept."""
 
     kept: IntArray
     ring: IntArray
     direction: IntArray
     points: FloatArray
     edge_blur: FloatArray
+    width: FloatArray
     width_off_px: FloatArray
     clipped: BoolArray
 
 
 class PointErrors:
-    """`point_sigma` in memory that is used again for each frame."""
+    """`point_sigma` in memory that is used again for each frame. usual_width (K,) : each ring's median, px, 0 of
+    fewer than RING_POINTS."""
 
     def __init__(self, slits: KeptSlits, optics: RingOptics, calibrated_mm: FloatArray, bias_px: float) -> None:
         (rings, directions), most = calibrated_mm.shape, len(slits.kept)
@@ -103,8 +107,9 @@ class PointErrors:
         limits = np.array([LEAST, UNKNOWN_PX, CLIPPED_PX, DRAWN_PX, BLUR_LEAST, BLUR_MOST, SIGMA_OF_MAD, LAG])
         room = np.empty((rings, directions)), np.empty((rings, 5)), np.empty(max(most, directions, rings) + 1)
         pose, known = (self._rotation, self._shift, self._covariance), (optics.mm_per_px, np.array(calibrated_mm))
-        written = *room, np.empty(most), self._out, self._drawn
-        self._sigma = _sigma.held(*slits, *pose, *known, ..., limits, ..., *written)
+        self.usual_width = np.zeros(rings)
+        written = *room, np.empty(most), self._out, self._drawn, self.usual_width
+        self._sigma = _sigma.held(*slits, *pose, *known, ..., limits, RING_POINTS, ..., *written)
 
     def sigma(self, fit: Fit, size: int) -> NDArray[np.float32]:
         """(size,) of the first that were kept."""
@@ -172,6 +177,7 @@ _sigma = door(
     "i8[s] direction",
     "f8[3,n] points",
     "f8[s] blur",
+    "f8[s] width",
     "f8[s] wider",
     "b1[n] clipped",
     "f8[3,3] rotation",
@@ -181,6 +187,7 @@ _sigma = door(
     "f8[k,j] calibrated",
     "f8 bias",
     "f8[l] limits",
+    "i8 fewest",
     "i8 size",
     "f8[k,j]! table",
     "f8[k,5]! rings",
@@ -188,4 +195,5 @@ _sigma = door(
     "f8[o]! pose",
     "f4[o]! out",
     "f8[k]! drawn",
+    "f8[k]! usual_width",
 )

@@ -27,7 +27,8 @@ from annulus_pipe.numeric.native import door
 from annulus_pipe.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.rings.decode import NONE
-from annulus_pipe.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
+from annulus_pipe.rings.reconstructor import FIRST_TOLERANCE, WALL_TOLERANCE, spans
+from annulus_pipe.rings.uncertainty import RING_POINTS
 from annulus_pipe.stereo.merge import BLUNT, CONTRADICTED, EDGE, KNOWN, Merged, Sight, merge
 from annulus_pipe.stereo.points import beside, known, outwards, radius_sigma, to_pipe
 from annulus_pipe.stereo.view import Expected, ObservedSlits, View, view_of

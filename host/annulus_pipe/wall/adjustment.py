@@ -371,15 +371,16 @@ def _step(
     gh[:, 4] -= prior[:, 4] * (state.heads[:, 4] - seen.heads[:, 4])
     u = u + prior[:, :, None] * np.eye(HEAD)
     solved = np.linalg.solve(u, np.concatenate([w, gh[:, :, None]], axis=2))
-    reduced = normal - np.einsum("fhi,fhj->ij", w, solved[:, :, :n])
+    across, follow = w.reshape(-1, n).T, solved.reshape(-1, n + 1)  # of all heads' numbers, one after the other
+    reduced = normal - across @ follow[:, :n]
     held = np.concatenate([_priors(state)[columns], np.full(BIAS * seen.rings, BIAS_SIGMA_MM)])
     value = np.concatenate([np.zeros(len(columns)), state.bias_mm.ravel()])
     # what all rings have in common is the pipe's radius, not a bias
     common = np.concatenate([np.zeros(len(columns)), np.tile([1.0 / seen.rings, 0.0, 0.0], seen.rings)])
     both = (unit / BIAS_COMMON_MM) ** 2 * np.outer(common, common) + np.diag((unit / held) ** 2)
     reduced += both
-    right = right - np.einsum("fhi,fh->i", w, solved[:, :, n]) - both @ value
-    inverse = np.linalg.inv(reduced)
+    right = right - across @ follow[:, n] - both @ value
+    inverse = np.asarray(np.linalg.inv(reduced), np.float64)
     step = inverse @ right
     heads = solved[:, :, n] - solved[:, :, :n] @ step
     k = len(columns)
@@ -391,7 +392,7 @@ def _step(
                 for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
             ]
         )
-        answers = -(inverse @ (weighted.T @ asked - np.einsum("fhi,fhm->im", solved[:, :, :n], pull)))[:k]
+        answers = -(inverse @ (weighted.T @ asked - follow[:, :n].T @ pull.reshape(len(follow), -1)))[:k]
     with_line = inverse[:, :k] @ np.linalg.inv(inverse[:k, :k])  # biases, too, follow the line
     return _Step(
         heads,

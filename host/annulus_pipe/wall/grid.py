@@ -68,7 +68,7 @@ _cell_observations = door(
     "f8[c]! squares",
 )
 _smoothed = door("smoothed", "f4[z,a] field", "i8 rows", "f4[9,b]! line", "f4[z,a]! out")
-_neighbour_extremes = door("neighbour_extremes", "f8[z,a] grid", "f8[z,a]! low", "f8[z,a]! high")
+_neighbour_extremes = door("neighbour_extremes", "f8[z,a] grid", "f8[2,b]! line", "f8[z,a]! low", "f8[z,a]! high")
 _bridged = door("bridged", "f8[z,a] grid", "f8 cells", "f8 fall", "f8 rise", "b1 along_rows", "f8[z,a]! out")
 
 
@@ -400,13 +400,12 @@ def _without(
 def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:
     """Which points lie in the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
     low, high = np.empty_like(grid), np.empty_like(grid)
-    _neighbour_extremes(grid, low, high)
+    _neighbour_extremes(grid, np.empty((2, grid.shape[1] + 4)), low, high)
     step = np.diff(grid, axis=1)
     steps = np.abs(step[np.isfinite(step)])
     slack = max(0.3, 6 * SIGMA_OF_MAD * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
-    low, high = low.ravel()[cell], high.ravel()[cell]
-    alone = ~np.isfinite(low)  # no neighbour to contradict it: it stays out, nothing vouches for it
-    return np.asarray(~alone & (radius >= low - slack) & (radius <= high + slack))
+    # where no neighbour contradicts it (infinite the wrong way round) it stays out, nothing vouches for it
+    return np.asarray((radius >= (low - slack).ravel()[cell]) & (radius <= (high + slack).ravel()[cell]))
 
 
 def _bridge(grid: FloatArray, sampling: float) -> FloatArray:

@@ -48,6 +48,7 @@ RIM_WIDTH = 0.15  # of a tee's rim, at most
 RIMS = 0.04, 0.08, 0.12  # widths of a rim, to start from
 RIM_LEAST = 0.03  # of a rim's height, to start from it: lower ones hide too little to lead a patch astray
 EDGE = 0.013  # standard deviation: where a ring ends
+LEAST_MM = 1e-9  # from a circle's centre: nearer there is no direction to it
 FACE = 0.0013  # standard deviation of a face, at least
 # Standard deviations of what all of a circle, or a rim, have in common. Blind seeds 1 to 6: k = 2 of 36 diameters held
 # for 89 % without the first; the rims of 17 tees were off by 0.0058 rms.
@@ -255,6 +256,37 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
     return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Circle:
+    """What says where a bore's circle is: ends (E, 2) of rings, faces at across and along (F,), which scatter by
+    `each`. Its numbers are along, across, radius and how late rings end."""
+
+    ends: FloatArray
+    across: FloatArray
+    along: FloatArray
+    each: float
+    size: float
+
+    def left(self, v: FloatArray) -> FloatArray:
+        """Of the circle, in standard deviations."""
+        at = np.maximum(np.abs(self.ends[:, 1] - v[0]) + v[3], 0.0)
+        of_ends = (np.hypot(self.ends[:, 0] - v[1], at) - v[2]) / (EDGE * self.size)
+        of_faces = (np.hypot(self.across - v[1], self.along - v[0]) - v[2]) / self.each
+        return np.concatenate([of_ends, of_faces, [v[3] / (SLIT * self.size)]])
+
+    def slopes(self, v: FloatArray) -> FloatArray:
+        """(E + F + 1, 4) of that."""
+        aside, ahead = self.ends[:, 0] - v[1], self.ends[:, 1] - v[0]
+        at = np.maximum(np.abs(ahead) + v[3], 0.0)
+        far = np.maximum(np.hypot(aside, at), LEAST_MM)
+        x, z = self.across - v[1], self.along - v[0]
+        away = np.maximum(np.hypot(x, z), LEAST_MM)
+        of_ends = np.stack([-at * np.sign(ahead) / far, -aside / far, -np.ones(len(far)), at / far], axis=1)
+        of_faces = np.stack([-z / away, -x / away, -np.ones(len(away)), np.zeros(len(away))], axis=1)
+        of_late = [[0.0, 0.0, 0.0, 1.0 / (SLIT * self.size)]]
+        return np.concatenate([of_ends / (EDGE * self.size), of_faces / self.each, of_late])
+
+
 def _fitted(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore | None:
     """The circle through faces and ends of rings; None where it runs away."""
     for gate in GATES:
@@ -262,32 +294,23 @@ def _fitted(bore: _Bore, points: LookPoints, looks: Looks, size: float) -> _Bore
         rim = _rim(bore, points, looks, size, angle)
         bore = rim if rim.stands_mm or gate < GATES[0] else bore
         ends = _ends(bore, points, looks, size, angle)
-        across, along = points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm
+        along = points.z_mm - bore.z_mm
+        near = np.flatnonzero((along > 0.1 * bore.radius_mm) & (along < bore.radius_mm + gate * size))
+        angle, along, departure = angle[near], along[near], points.departure_mm[near]
+        across = points.radius_mm[near] * np.sin(angle)
         off = np.hypot(across, along) - bore.radius_mm
-        face = (np.cos(angle) > 0) & (along > 0.1 * bore.radius_mm) & (np.abs(off) < gate * size)
-        face &= points.departure_mm > _level(bore, angle) + LEVEL * size
+        face = (np.cos(angle) > 0) & (np.abs(off) < gate * size) & (departure > _level(bore, angle) + LEVEL * size)
         if bore.stands_mm:  # the wall beside a narrow rim is no face
-            face &= np.abs(points.departure_mm) > LEVEL * size
-        across, along, number = across[face], along[face], looks.view[points.look[face]]
+            face &= np.abs(departure) > LEVEL * size
+        across, along, number = across[face], along[face], looks.view[points.look[near[face]]]
         if len(ends) + len(across) < 8:
             return None
         scatter = max(robust_sigma(off[face] - np.median(off[face])), FACE * size) if face.any() else FACE * size
         each = scatter * np.sqrt(max(len(number) / max(len(np.unique(number)), 1), 1.0))  # one look errs as one
 
-        def left(
-            v: FloatArray, ends: FloatArray = ends, x: FloatArray = across, z: FloatArray = along, each: float = each
-        ) -> FloatArray:
-            at = np.maximum(np.abs(ends[:, 1] - v[0]) + v[3], 0.0)
-            return np.concatenate(
-                [
-                    (np.hypot(ends[:, 0] - v[1], at) - v[2]) / (EDGE * size),
-                    (np.hypot(x - v[1], z - v[0]) - v[2]) / each,
-                    [v[3] / (SLIT * size)],
-                ]
-            )
-
+        seen = _Circle(ends, across, along, each, size)
         start = np.array([0.0, 0.0, bore.radius_mm, bore.late_mm])
-        fit = optimize.least_squares(left, start, loss="soft_l1")
+        fit = optimize.least_squares(seen.left, start, jac=seen.slopes, loss="soft_l1")
         moved, aside, radius, late = (float(value) for value in fit.x)
         if not SIZE_LEAST / 2 * size < radius < SIZE_MOST / 2 * size or max(abs(moved), abs(aside)) > bore.radius_mm:
             return None

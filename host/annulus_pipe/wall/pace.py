@@ -20,7 +20,7 @@ from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.grid import Wall
 from annulus_pipe.wall.profile import Profile
-from annulus_pipe.wall.texture import HeadPath, LedFrame, pixels_round
+from annulus_pipe.wall.texture import HeadPath, LedFrame, pixels_round, row_medians
 
 # Set on the drawn pipes of the blind bench, even seeds, by physics; guarded by test_pace.py as a whole.
 ROW = 0.004  # of the radius: a strip's rows, finer than what a pixel shows of a near wall
@@ -55,7 +55,7 @@ _bell_averaged = door(
     "f4[r,a]! middle_field",
     "f4[r,a]! out",
 )
-_row_medians = door("row_medians", "f4[r,a] field", "f4[a]! line", "f4[r]! out")
+_size_median = door("size_median", "f4[n] field", "f4[n]! line", returns="f8")
 _strip_sums = door(
     "strip_sums", "f4[r,a]! one", "f4[q,a]! other", "f4[r,a]! seen_one", "f4[q,a]! seen_other", "f8[d,6,a]! sums"
 )
@@ -148,10 +148,8 @@ def _marks(light: Float32Array, seen: BoolArray) -> Float32Array:
         return total if part is None else np.asarray(total / np.maximum(_averaged(part, size), np.float32(0.3)))
 
     marks = np.where(seen, even(SHARP) - even(SMOOTH), np.float32(np.nan))
-    middle = np.empty(len(marks), np.float32)
-    _row_medians(marks, np.empty(marks.shape[1], np.float32), middle)
-    marks -= middle[:, None]
-    most = 4.0 * SIGMA_OF_MAD * float(np.median(np.abs(marks[seen])))
+    marks -= row_medians(marks)[:, None]
+    most = 4.0 * SIGMA_OF_MAD * _size_median(marks.ravel(), np.empty(marks.size, np.float32))
     return np.clip(marks, -most, most)
 
 

@@ -57,19 +57,19 @@ def register(
     """
     current = tuple(profiles)
     for _ in range(rounds):
-        shape = pipe_shape(current, z_step_mm)
-        before, current = current, tuple(_aligned(profile, *shape) for profile in current)
+        stations, shape = pipe_shape(current, z_step_mm)
+        radius = float(np.median(shape[:, 0]))
+        before, current = current, tuple(_aligned(profile, stations, shape, radius) for profile in current)
         if all(a is b for a, b in zip(before, current, strict=True)):  # another round would find the same again
             break
     return current
 
 
-def _aligned(profile: Profile, stations_mm: FloatArray, shape_mm: FloatArray) -> Profile:
-    """shape_mm (Z, 5) : the pipe's, at stations (Z,)."""
+def _aligned(profile: Profile, stations_mm: FloatArray, shape_mm: FloatArray, radius: float) -> Profile:
+    """shape_mm (Z, 5) : the pipe's, at stations (Z,). radius : mm, its median."""
     pose = profile.pose
     if pose is None or len(profile.points_mm) < POINTS_NEEDED:
         return profile
-    radius = float(np.median(shape_mm[:, 0]))
     found, moves = np.empty(4), np.empty(1)
     points = np.ascontiguousarray(profile.points_mm, np.float32)
     room = np.empty((13, len(points) + LANES))

@@ -278,7 +278,10 @@ def _mixed_mm(wall: Wall, fitted_mm: Float32Array, rows: int) -> FloatArray:
         for aside in (-shift, 0.0, shift)
         for either in (np.minimum, np.maximum)
     ]
-    middles = np.array([[np.median(line[start : start + rows]) for start in starts] for line in lines])
+    whole = len(level) // rows * rows
+    middles = np.median(np.array(lines)[:, :whole].reshape(len(lines), -1, rows), axis=2)
+    if whole < len(level):
+        middles = np.column_stack([middles, [np.median(line[whole:]) for line in lines]])
     seeming = middles[2:4].mean(axis=0)  # with every row where it seems to lie
     return np.asarray(np.abs(middles - seeming).max(axis=0))
 

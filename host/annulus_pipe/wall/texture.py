@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.geometry.camera import Camera
 from annulus_pipe.geometry.pose import Pose
-from annulus_pipe.numeric.arrays import BoolArray, FloatArray
+from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus_pipe.numeric.native import door
 from annulus_pipe.wall.centreline import Centreline
 from annulus_pipe.wall.grid import Wall
@@ -34,6 +34,16 @@ _add_colours = door(
     "f4[r,a,3]! total",
     "f4[r,a]! weight",
 )
+
+
+_row_medians = door("row_medians", "f4[r,a] field", "f4[a]! line", "f4[r]! out")
+
+
+def row_medians(field: Float32Array) -> Float32Array:
+    """(R,) medians of rows, NaN passed over; NaN of a row of nothing."""
+    out = np.empty(len(field), np.float32)
+    _row_medians(field, np.empty(field.shape[1], np.float32), out)
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,10 +222,10 @@ def _light(patches: Sequence[_Patch], wall: Wall) -> FloatArray:
     for patch in patches:
         b, g, r = np.moveaxis(patch.colour, 2, 0)
         brightness = np.where(patch.inside, np.maximum(np.maximum(b, g), r), 0)
-        for distance, line in zip(patch.ahead, brightness, strict=True):
-            seen = line[line > BLACK]
-            if len(seen):
-                bins.setdefault(round(distance / wall.z_step_mm), []).append(float(np.median(seen)))
+        seen = np.where(brightness > BLACK, brightness, np.nan).astype(np.float32)
+        for distance, middle in zip(patch.ahead, row_medians(seen), strict=True):
+            if np.isfinite(middle):
+                bins.setdefault(round(distance / wall.z_step_mm), []).append(float(middle))
     out = np.full(round(FARTHEST_OF_RADIUS * wall.mean_radius_mm / wall.z_step_mm) + 2, np.nan)
     for i, values in bins.items():
         out[min(i, len(out) - 1)] = np.median(values)

@@ -183,8 +183,6 @@ def test_what_is_believed_is_the_references(seed: int, rings: int, part: float, 
     np.testing.assert_array_equal(ring, expected)
     assert list(judge.counts().values()) == counts
     np.testing.assert_allclose(judge.wider, wider, rtol=0.0, atol=1e-3)  # px
-    usual = rings_belief.usual_widths(expected, width, rings, RING_POINTS)
-    np.testing.assert_allclose(judge.usual_widths(n, RING_POINTS), usual, rtol=1e-15)
 
 
 def fitted(rng: np.random.Generator) -> Fit:
@@ -226,8 +224,11 @@ def test_what_is_kept_and_how_far_it_may_be_off_are_the_references(
     blur, wider = rng.gamma(2.0, 1.0, n), rng.normal(0.0, 0.3, n)
     mm_per_px, calibrated = rng.uniform(0.1, 0.6, rings), rng.uniform(0.0, 0.1, (rings, DIRECTIONS))
     optics = replace(OPTICS["slits"], mm_per_px=mm_per_px)
-    errors = PointErrors(KeptSlits(kept, ring, direction, left, blur, wider, clipped), optics, calibrated, 0.02)
+    width = rng.gamma(4.0, 2.0, n)
+    errors = PointErrors(KeptSlits(kept, ring, direction, left, blur, width, wider, clipped), optics, calibrated, 0.02)
     found = errors.sigma(fit, size)
+    usual = rings_belief.usual_widths(ring, width, rings, RING_POINTS)
+    np.testing.assert_allclose(errors.usual_width, usual, rtol=1e-15)
     mine = ring[which], direction[which], left[:, :size], blur[which], wider[which], clipped[:size]
     placed = rotation, shift, fit.covariance
     sigma, drawn = rings_belief.sigma(*mine, placed, mm_per_px, calibrated, 0.02)
