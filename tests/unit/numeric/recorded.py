@@ -69,6 +69,8 @@ def recording(most: int = 2) -> Iterator[list[Call]]:
                 return function(*packed)
             counted[kind] += 1
             made = _made(door, function, packed)
+            if made is None:  # too large
+                return function(*packed)
             calls.append(made)
             return made.result
 
@@ -101,8 +103,8 @@ def _forget() -> None:
         one._function = None
 
 
-def _made(door: LoopDoor, function: Callable[..., Any], packed: tuple[Any, ...]) -> Call:
-    """The call is made, and written down. Arrays that share memory share a block."""
+def _made(door: LoopDoor, function: Callable[..., Any], packed: tuple[Any, ...]) -> Call | None:
+    """The call is made, and written down; neither, if it is too large. Arrays that share memory share a block."""
     sizes = dict(zip(door.letters, packed[len(door.arguments) :], strict=True))
     pairs = list(zip(door.arguments, packed, strict=False))
     lying = {
@@ -115,7 +117,7 @@ def _made(door: LoopDoor, function: Callable[..., Any], packed: tuple[Any, ...])
         elif length:
             stretches.append([start, length])
     if sum(length for _, length in stretches) > MOST_BYTES:
-        stretches = []
+        return None
     before = [ctypes.string_at(*stretch) for stretch in stretches]
     result = function(*packed)
     blocks = [Block(was, ctypes.string_at(*stretch)) for was, stretch in zip(before, stretches, strict=True)]
