@@ -6,12 +6,13 @@ Few workers are started here: each takes seconds of processor before it can do a
 import multiprocessing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from toil import Toil
 
 from annulus_pipe.reprocess import executors
-from annulus_pipe.reprocess.executors import Failed, Processes, _Crew, in_process
+from annulus_pipe.reprocess.executors import STILLBORN_MOST, Failed, Processes, _Crew, _Hand, in_process
 from annulus_pipe.vocabulary import AnnulusError
 
 ITEMS = tuple(range(12))
@@ -77,6 +78,50 @@ def test_what_is_soon_done_starts_one_worker(tmp_path: Path, monkeypatch: pytest
     first = next(done)
     assert len(multiprocessing.active_children()) == 1
     assert dict([first, *done]) == SQUARES
+
+
+class Imagined:
+    """A worker's process, and its line, that there is not."""
+
+    exitcode = 1
+
+    def close(self) -> None: ...
+    def join(self) -> None: ...
+
+
+def crew_of(*alive: bool) -> _Crew:
+    thing: Any = Imagined()
+    return _Crew(Toil(Path()), ITEMS, 1, [_Hand(thing, thing, None, one) for one in alive])
+
+
+def test_no_more_workers_come_than_have_something_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Crew, "_hired", lambda crew: crew.hands[0])
+    for left, workers, there in ((3, 8, 4), (2, 8, 3), (9, 8, 8), (9, 4, 4)):
+        crew = crew_of(True, False, False)  # two are still to come
+        crew._hire_others(workers, left)
+        assert len(crew.hands) == there
+
+
+def test_who_is_there_goes_on_where_no_other_can_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hired(crew: _Crew) -> _Hand:
+        raise BlockingIOError("no process left")
+
+    monkeypatch.setattr(_Crew, "_hired", hired)
+    crew = crew_of(True)
+    crew._hire_others(8, 12)
+    assert len(crew.hands) == 1
+    crew = crew_of(True, *[False] * STILLBORN_MOST)
+    monkeypatch.setattr(_Crew, "_hired", lambda crew: crew_of(False).hands[0])
+    for _ in range(2 * STILLBORN_MOST):
+        dead = next((hand for hand in crew.hands if not hand.alive), None)
+        assert dead is None or crew._dead(dead) is None
+    assert [hand.alive for hand in crew.hands] == [True]
+    crew._hire_others(8, 12)
+    assert len(crew.hands) == 1  # not before one has done something
+    alone = crew_of(False)
+    with pytest.raises(AnnulusError, match="end as they begin"):
+        for _ in range(STILLBORN_MOST):
+            alone._dead(alone.hands[0])
 
 
 @pytest.mark.deep(gate="tests/system/test_executors.py::test_what_raises_here_fails_after_its_tries")

@@ -24,6 +24,7 @@ CORRECTION_MAX = 4096  # directions a ring may be corrected in
 CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
 BESIDE = ("transfer", "motion", "pipe")  # of a head that projects fringes: see fringe.head
 SENSOR_MAX = 65535.0  # pixels a side
+RINGS_MAX = 64  # of a pattern: rings_by_ring.h has room for no more; test_more_rings_than_are_read_are_refused
 ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
 
 Kind = Literal["slits", "line", "lines", "fringe"]
@@ -331,7 +332,7 @@ def _beside(top: Mapping[str, Any]) -> dict[str, Any]:
 
 def _colours(top: Mapping[str, Any]) -> str:
     colours = _need(_section(_need(top, "pattern"), "pattern"), "colours", "pattern")
-    if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
+    if not isinstance(colours, str) or not 2 <= len(colours) <= RINGS_MAX + 1 or set(colours) - set("RGB"):
         raise ValueError(
             f'"pattern.colours" is {untrusted.shown(colours)}, expected letters R, G, B from the innermost outwards'
         )
@@ -347,6 +348,8 @@ def _rings(rings: object, slits: int | None) -> list[tuple[Cone, RingCorrection 
     if not isinstance(rings, Sequence) or isinstance(rings, str) or slits not in (None, len(rings)):
         many = "" if slits is None else f" {slits} slits, one between each two of {slits + 1} stripes"
         raise ValueError(f'"rings" must list{many or " slits"}')
+    if len(rings) > RINGS_MAX:
+        raise ValueError(f'"rings" lists {len(rings)}, expected at most {RINGS_MAX}')
     out = []
     for i, ring in enumerate(rings):
         where = f"rings[{i}]"

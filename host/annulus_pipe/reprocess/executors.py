@@ -116,7 +116,7 @@ class Processes:
             return
         crew = _Crew(work, items, self.tries)
         try:
-            yield from crew.work(workers, 1 if self.workers is None and len(items) <= FEW else workers)
+            yield from crew.work(workers, min(workers, 1) if self.workers is None and len(items) <= FEW else workers)
         finally:
             crew.leave()
 
@@ -149,7 +149,7 @@ class _Crew:
         while todo or any(hand.at is not None for hand in self.hands):
             short = len(self.hands) < workers
             if short and self._slow(len(todo)):
-                self.hands += [self._hired() for _ in range(min(workers - len(self.hands), len(todo)))]
+                self._hire_others(workers, len(todo))
             heard = wait([hand.line for hand in self.hands], WORTH_S if short else None)
             outcomes: list[tuple[int, Any]] = []
             for hand in [hand for hand in self.hands if hand.line in heard]:
@@ -174,6 +174,13 @@ class _Crew:
             return False
         since, done = time.monotonic() - self.heard_s[min(1, len(self.heard_s) - 1)], len(self.heard_s) - 2
         return since > WORTH_S if done < SOME else since / done * left > WORTH_S
+
+    def _hire_others(self, workers: int, left: int) -> None:
+        coming = sum(not hand.alive for hand in self.hands)
+        more = min(workers - len(self.hands), left - coming) if self.stillborn < STILLBORN_MOST else 0
+        with contextlib.suppress(OSError):  # no memory or process left for them: who is there goes on
+            for _ in range(more):
+                self.hands.append(self._hired())
 
     def _hired(self) -> _Hand:
         context = multiprocessing.get_context("spawn")
@@ -211,6 +218,8 @@ class _Crew:
         self.hands.remove(hand)
         if not hand.alive:
             self.stillborn += 1
+            if self.stillborn >= STILLBORN_MOST and any(other.alive for other in self.hands):
+                return None  # who is there goes on
             if self.stillborn >= STILLBORN_MOST:
                 raise AnnulusError(f"worker processes end as they begin (exit status {hand.process.exitcode}).")
         number = hand.at
@@ -222,9 +231,10 @@ class _Crew:
         return number, Failed("a worker process died while reconstructing", self.tried[number])
 
     def leave(self) -> None:
-        """All workers ended: those with nothing to do by the end of their line, others as by Ctrl-C."""
+        """All workers ended: those with nothing to do by the end of their line, others, who are at an item or only
+        begin, as by Ctrl-C."""
         for hand in self.hands:
-            if hand.at is not None:
+            if hand.at is not None or not hand.alive:
                 hand.process.terminate()
             hand.line.close()
         for hand in self.hands:

@@ -238,3 +238,14 @@ def test_sections_that_do_not_fit_are_named() -> None:
     del data["rings"][1]["fine"]
     with pytest.raises(ValueError, match=r"rings\[1\].* has no correction"):
         Calibration.from_dict(data)
+
+
+def test_more_rings_than_are_read_are_refused() -> None:
+    data = replace(_corrected(), colours="", covariance=None, corrections=None, pattern={"kind": "line"}).to_dict()
+    ring = data["rings"][0]
+    for many in (64, 65):
+        data["rings"] = [ring | {"theta_full_deg": 10.0 + n} for n in range(many)]
+        if many == 64:
+            assert len(Calibration.from_dict(data).rings) == 64
+    with pytest.raises(ValueError, match='"rings" lists 65, expected at most 64'):
+        Calibration.from_dict(data)

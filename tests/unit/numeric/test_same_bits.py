@@ -87,6 +87,7 @@ def test_a_frame_has_the_same_slits_and_points_with_every_library(head: str, mon
     assert len(set(bits.values())) == 1
 
 
+@pytest.mark.timeout(1500)  # the gate's tests of six rooms, and some of it again under QEMU
 @pytest.mark.deep(gate="tests/unit/numeric/test_same_bits.py::test_aarch64_writes_the_same_bits")
 def test_whatever_the_tests_call_has_the_same_bits(tmp_path: Path) -> None:
     """Every door that there is: each has a test of its own somewhere."""
