@@ -249,7 +249,8 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
     label, _ = label_around(empty & ~besides[at])
     tall = np.array([0.0, *((rows.stop - rows.start) * fine for rows, _ in ndimage.find_objects(label))])
     reason = "the map goes on between rings there, and a small defect may lie between them"
-    is_usual = tall <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
+    # six rows are as long as what the map is bridged over: not for the last bit of a radius to decide
+    is_usual = tall <= BRIDGE_OF_RADIUS * wall.mean_radius_mm + fine / 2
     for usual in (False, True):
         patches = (label > 0) & (is_usual[label] == usual)
         rows = ndimage.binary_dilation(
