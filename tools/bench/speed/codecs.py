@@ -48,7 +48,7 @@ from tools.bench.table import SCENES, Row
 FRAMES, FPS = 30, 25.0
 CPU_MS = {Codec.RAW: 2.0, Codec.ZSTD: 5.0, Codec.JPEG: 20.0}  # a frame, on one core; at 25 fps there are 40
 SHARE = {Codec.RAW: 5.0, Codec.ZSTD: 15.0, Codec.JPEG: 50.0}  # percent of a core, of the recorder, with its previews
-OF_MCAP = 0.6  # of the processor of mcap's own writer at the same level; measured 0.45
+OF_MCAP = 0.6  # of the processor of mcap's own writer at the same level; measured 0.52
 WORSE_MM = 0.005  # of radius RMS, than what the same frames give as they are
 MCAP_LEVEL = 3  # of zstd, which mcap's writer takes
 PIPE_A = SCENES / "pipe-a"
