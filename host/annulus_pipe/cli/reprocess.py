@@ -49,7 +49,7 @@ def reprocess(
         str | None, typer.Option(metavar="URL", help="tcp://127.0.0.1:8786, or tls://host:8786 with the three files.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=256, help="Processes of --engine local; one a core if not given.")
+        int | None, typer.Option(min=1, max=256, help="Processes of --engine local; at most one a core if not given.")
     ] = None,
     tls_ca: Annotated[Path | None, typer.Option(help="Whose certificates are believed, PEM.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(help="This side's certificate, PEM.")] = None,
