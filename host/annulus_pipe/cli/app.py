@@ -124,7 +124,9 @@ def reconstruct(
     by: Annotated[
         By, typer.Option(help="Heights of a plate under fringes: by the calibrated slide, or by two cameras alone.")
     ] = By.SLIDE,
-    workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; at most one a core if not given.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=64, help="Processes; at most one a core if not given.")
+    ] = None,
     job: Annotated[
         list[str] | None,
         typer.Option(

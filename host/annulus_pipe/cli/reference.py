@@ -73,7 +73,9 @@ def check(
     reference: References = None,
     reference_diameter: ReferenceDiameter = None,
     reference_u: ReferenceU = None,
-    workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; at most one a core if not given.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=64, help="Processes; at most one a core if not given.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """What the head reads of a section of known diameter, and what of its optics has drifted. Writes nothing.
