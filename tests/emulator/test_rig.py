@@ -4,6 +4,7 @@ them. What it finds of the image is what the image does; a board that is wrong i
 
 import contextlib
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -62,7 +63,8 @@ def test_the_rig_finds_a_flash_exact_between_two_crystals(image: Path) -> None:
     with bench(image) as ports:
         status, output = ask(*ports, "--only", "a short flash")
     assert status == 0, output
-    assert "+37.3" in output
+    clock = re.search(r"its clock ([+-][\d.]+)", output)
+    assert clock is not None and abs(float(clock[1]) - 37.3) <= 0.3  # ppm: a tick of a span that the host's pace sets
     assert "1 promises kept, none broken, 0 not wired" in output
 
 
