@@ -25,6 +25,7 @@ CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
 BESIDE = ("transfer", "motion", "pipe")  # of a head that projects fringes: see fringe.head
 SENSOR_MAX = 65535.0  # pixels a side
 RINGS_MAX = 64  # of a pattern: rings_by_ring.h has room for no more; test_more_rings_than_are_read_are_refused
+ROUNDED = 1e-12  # what a unit vector's length is off by rounding (test_what_was_written_is_read_back)
 ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
 
 Kind = Literal["slits", "line", "lines", "fringe"]
@@ -449,8 +450,9 @@ def _cone(ring: Mapping[str, Any], where: str) -> Cone:
         raise ValueError(
             f'"{where}.axis" must be a unit vector pointing down the pipe (z > 0), its length is {length:.4g}'
         )
-    unit = cast(tuple[float, float, float], tuple(v / length for v in axis))
-    return Cone(math.radians(theta / 2), unit, _vector(ring, "vertex_mm", where))
+    if abs(length - 1.0) > ROUNDED:  # what was written here is read again as it was
+        axis = cast(tuple[float, float, float], tuple(v / length for v in axis))
+    return Cone(math.radians(theta / 2), axis, _vector(ring, "vertex_mm", where))
 
 
 def _correction(data: object, where: str) -> RingCorrection:
