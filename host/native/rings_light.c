@@ -27,8 +27,8 @@ typedef struct {
     bool mosaic;
 } frame_t;
 
-// Pixels of one slit: where they are; of a mosaic never at its margin, and all bits set of those that count and that
-// lie in a column, or a row, of red cells.
+// Pixels of one slit, of a mosaic none at its margin. Only of a mosaic: all bits of `there` are set where a pixel
+// counts, of column and row where those have red cells.
 typedef struct {
     const uint8_t* pixel[PLACES];
     uint32_t there[PLACES], column[PLACES], row[PLACES];

@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "by_cell.h"
 #include "native.h"
 #include "selection.h"
 
@@ -100,29 +101,20 @@ DOOR void cell_medians(const int64_t* const cell, const double* const values, co
     if (c < 1) {
         return;
     }
-    memset(ends, 0, (size_t)c * sizeof *ends);
-    for (int64_t i = 0; i < n; i++) {
-        ends[most(0, least(cell[i], c - 1))]++;
-    }
-    int64_t begin = 0;
-    for (int64_t i = 0; i < c; i++) {  // where each cell begins; as points are laid it moves on to where it ends
-        const int64_t size = ends[i];
-        count[i] = (int32_t)least(size, INT32_MAX);
-        ends[i] = begin;
-        begin += size;
-    }
+    begin_cells(cell, ends, n, c);
     double *const side = laid, *const with = laid + n;
     for (int64_t i = 0; i < n; i++) {
-        const int64_t at = ends[most(0, least(cell[i], c - 1))]++;
+        const int64_t at = ends[bounded(cell[i], 0, c - 1)]++;
         side[at] = values[i];
         if (weights) {
             with[at] = weights[i];
         }
     }
-    begin = 0;
+    int64_t begin = 0;
     for (int64_t i = 0; i < c; i++) {
         double* const own = side + begin;
         const int64_t size = ends[i] - begin;
+        count[i] = (int32_t)least(size, INT32_MAX);
         if (size < 1) {
             medians[i] = (double)NAN;
         } else if (weights) {
@@ -271,20 +263,11 @@ DOOR void cell_observations(const int64_t* const cell, const int32_t* const numb
     if (c < 1 || k < 1) {
         return;
     }
-    memset(ends, 0, (size_t)c * sizeof *ends);
-    for (int64_t i = 0; i < n; i++) {
-        ends[bounded(cell[i], 0, c - 1)]++;
-    }
-    int64_t begin = 0;
-    for (int64_t i = 0; i < c; i++) {
-        const int64_t size = ends[i];
-        ends[i] = begin;
-        begin += size;
-    }
+    begin_cells(cell, ends, n, c);
     for (int64_t i = 0; i < n; i++) {
         laid[ends[bounded(cell[i], 0, c - 1)]++] = number[i];
     }
-    begin = 0;
+    int64_t begin = 0;
     for (int64_t i = 0; i < c; i++) {
         const int64_t end = ends[i];
         double sum = 0.0;

@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "by_cell.h"
 #include "mathematics.h"
 
 enum { SHAPE = 5, BLOCK = 128 };
@@ -86,25 +87,14 @@ DOOR int64_t spot_pairs(const int64_t* const cell, const int64_t* const frame, c
     if (c < 1 || n > INT32_MAX) {
         return 0;
     }
-    for (int64_t i = 0; i < c; i++) {
-        ends[i] = 0;
-    }
-    for (int64_t i = 0; i < n; i++) {
-        ends[bounded(cell[i], 0, c - 1)]++;
-    }
-    int64_t begin = 0;
-    for (int64_t i = 0; i < c; i++) {
-        const int64_t count = ends[i];
-        ends[i] = begin;
-        begin += count;
-    }
+    begin_cells(cell, ends, n, c);
     for (int64_t i = 0; i < n; i++) {
         order[ends[bounded(cell[i], 0, c - 1)]++] = (int32_t)i;
     }
     int64_t next = 0, after = 0;
     int32_t *const a_next = pairs, *const b_next = pairs + n, *const a_after = pairs + 2 * n,
                    *const b_after = pairs + 3 * n;
-    begin = 0;
+    int64_t begin = 0;
     for (int64_t spot = 0; spot < c; spot++) {
         const int64_t end = ends[spot];
         if (!calm[spot]) {
