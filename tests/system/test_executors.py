@@ -66,7 +66,7 @@ def test_what_raises_here_fails_after_its_tries(tmp_path: Path) -> None:
 def test_other_workers_come_when_they_are_worth_their_start(
     clock: list[float], left: int, slow: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    crew = _Crew(Toil(Path()), ITEMS, 1, heard_s=clock[:-1])
+    crew = _Crew(Toil(Path()), ITEMS, 1, reported_s=clock[:-1])
     monkeypatch.setattr(executors.time, "monotonic", lambda: clock[-1])
     assert crew._slow(left) == slow
 

@@ -29,9 +29,9 @@ finally:
 def imported(*words: str) -> tuple[str, set[str]]:
     """What a command says, and what it had imported when it ended: packages, and modules by their whole names."""
     done = subprocess.run([sys.executable, "-c", TYPED, *words], capture_output=True, text=True, check=False)
-    *said, modules = done.stderr.splitlines()
+    *errors, modules = done.stderr.splitlines()
     whole = modules.split()
-    return done.stdout + "\n".join(said), {*whole, *(name.partition(".")[0] for name in whole)}
+    return done.stdout + "\n".join(errors), {*whole, *(name.partition(".")[0] for name in whole)}
 
 
 @pytest.mark.parametrize("words", [["--help"], ["record", "--help"], ["timing", "--nonsense"]])
@@ -41,7 +41,7 @@ def test_what_is_known_without_numbers_imports_none(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "words, said",
+    "words, expected",
     [
         (["reconstruct", "{}/none", "-o", "{}/out"], "no such scan"),
         (["reconstruct", "{}", "--calibration", "{}/none.json", "-o", "{}/out"], "no such file"),
@@ -50,9 +50,9 @@ def test_what_is_known_without_numbers_imports_none(words: list[str]) -> None:
         (["calibrate", "camera", "{}/none", "-o", "{}/head.json"], "no such file"),
     ],
 )
-def test_a_refusal_imports_nothing_that_only_the_work_needs(words: list[str], said: str, tmp_path: Path) -> None:
-    told, packages = imported(*(word.format(tmp_path) for word in words))
-    assert said.lower() in told.lower() and not packages & HEAVY
+def test_a_refusal_imports_nothing_that_only_the_work_needs(words: list[str], expected: str, tmp_path: Path) -> None:
+    printed, packages = imported(*(word.format(tmp_path) for word in words))
+    assert expected.lower() in printed.lower() and not packages & HEAVY
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,8 @@ def test_pictures_of_another_size_are_refused_before_the_work_is_imported(
     scan.mkdir()
     (scan / "0.png").write_bytes(cv2.imencode(".png", np.zeros((30, 40, 3), np.uint8))[1].tobytes())
     (scan / "frames.csv").write_text("index,file,light,z_mm\n0,0.png,projector,0\n")
-    told, modules = imported(command, str(scan), "--calibration", str(head), "-o", str(tmp_path / "out"))
-    assert "0.png is 40x30" in told
+    printed, modules = imported(command, str(scan), "--calibration", str(head), "-o", str(tmp_path / "out"))
+    assert "0.png is 40x30" in printed
     assert not modules & HEAVY and not modules & late
 
 

@@ -141,7 +141,7 @@ class _Crew:
     hands: list[_Hand] = field(default_factory=list)
     tried: Counter[int] = field(default_factory=Counter)
     stillborn: int = 0
-    heard_s: list[float] = field(default_factory=list)  # when there was a worker, and then each outcome
+    reported_s: list[float] = field(default_factory=list)  # when there was a worker, and then each outcome
 
     def work(self, workers: int, at_first: int) -> Iterator[tuple[int, Any]]:
         todo = deque(range(len(self.items)))
@@ -170,9 +170,9 @@ class _Crew:
     def _slow(self, left: int) -> bool:
         """Whether so many items would take the workers there are long: by the time from outcome to outcome, which the
         first does not tell, for a worker sets itself up with it."""
-        if not left or not self.heard_s:
+        if not left or not self.reported_s:
             return False
-        since, done = time.monotonic() - self.heard_s[min(1, len(self.heard_s) - 1)], len(self.heard_s) - 2
+        since, done = time.monotonic() - self.reported_s[min(1, len(self.reported_s) - 1)], len(self.reported_s) - 2
         return since > WORTH_S if done < SOME else since / done * left > WORTH_S
 
     def _hire_others(self, workers: int, left: int) -> None:
@@ -203,7 +203,7 @@ class _Crew:
         except (EOFError, OSError):
             return self._dead(hand)
         hand.alive, self.stillborn = True, 0
-        self.heard_s.append(time.monotonic())
+        self.reported_s.append(time.monotonic())
         if number is None:
             return None
         hand.at = None

@@ -41,5 +41,5 @@ def test_light_is_as_it_is_counted(size: tuple[int, int], most: int, least: int,
     pixels = draw.integers(low, high, shape, dtype=np.uint8)
     picture = Mosaic(pixels, order) if order else pixels
     found = diagnose(picture)
-    told = found.bright, found.clipped, found.lost, found.hues, found.glare
-    assert np.allclose(told, counted(picture), rtol=0, atol=1e-12)
+    observed = found.bright, found.clipped, found.lost, found.hues, found.glare
+    assert np.allclose(observed, counted(picture), rtol=0, atol=1e-12)
