@@ -31,6 +31,7 @@ EXTRA_OF = {
     "imagecodecs": "joints",
     "pydicom": "joints",
     "skfem": "crossbore",
+    "statsmodels": "qualification",
     "starlette": "console",
     "uvicorn": "console",
     "websockets": "console",
