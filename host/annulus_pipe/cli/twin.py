@@ -127,7 +127,9 @@ def _witnesses(seed: int, as_json: bool) -> None:
 
 @app.command(
     "scan",
-    epilog="Example: annulus twin scan --world butt --seed 3 --frames 26 -o scan && annulus reconstruct scan -o out",
+    epilog="Example: annulus twin scan --world butt --seed 3 --frames 26 -o scan && annulus reconstruct scan -o out "
+    "--calibration scan/calibration.json. A reference pipe: annulus twin scan --world clean --diameter 153.2 "
+    "--temperature 30 -o piece-2",
 )
 def scan(
     out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
@@ -149,13 +151,39 @@ def scan(
         float | None,
         typer.Option(min=0.01, max=5.0, help="mm that red light goes on in the wall before it is scattered; PE: 0.56."),
     ] = None,
+    diameter: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Inner diameter of the pipe at 20 degrees; the calibration stays the head's."),
+    ] = None,
+    spool: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="The pipe has these defects, a file as `annulus pod plan` writes it."),
+    ] = None,
+    temperature: Annotated[
+        float | None, typer.Option(metavar="CELSIUS", help="Of head and pipe; the calibration is that of 20 degrees.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a simulated scan as a scan folder, with its calibration (of an opaque pipe) and the truth."""
+    from annulus_pipe.twin.reference_pipe import at_temperature, of_diameter, with_spool
     from annulus_pipe.twin.scan import world_named, write_scan
 
+    drawn = world_named(world, seed, defects, lean, translucent)
+    known = drawn.calibration()
+    if diameter is not None:
+        drawn = of_diameter(drawn, diameter)
+    if spool is not None:
+        drawn = with_spool(drawn, spool, frames)
+    if temperature is not None:
+        drawn = at_temperature(drawn, temperature)
     with progress() as report:
-        write_scan(world_named(world, seed, defects, lean, translucent), out, frames, report)
-    print_fields(
-        {"scan": str(out), "world": world, "frames": frames, "calibration": str(out / "calibration.json")}, as_json
-    )
+        write_scan(drawn, out, frames, report, known)
+    fields: dict[str, object] = {
+        "scan": str(out),
+        "world": world,
+        "frames": frames,
+        "travel_mm": round(drawn.travel_mm, 1),
+    }
+    if diameter is not None or temperature is not None:
+        fields["diameter_mm"] = round(2 * drawn.radius_mm, 3)  # as warm as the pipe is
+    print_fields({**fields, "calibration": str(out / "calibration.json")}, as_json)

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.record.codec import to_bgr
 from annulus_pipe.scans.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus_pipe.twin.render import Renderer
@@ -41,11 +42,16 @@ def world_named(
 
 
 def write_scan(
-    world: World, folder: Path, frames: int, progress: Callable[[str, int, int], None] | None = None
+    world: World,
+    folder: Path,
+    frames: int,
+    progress: Callable[[str, int, int], None] | None = None,
+    calibration: Calibration | None = None,
 ) -> None:
     """Pull the head through the world in `frames` even steps and write the scan into `folder`, which must be empty.
 
-    Writes frames.csv, frames/*.png, calibration.json (that of a perfect calibration) and truth.json. Every fifth frame
+    Writes frames.csv, frames/*.png, calibration.json (`calibration`, of a head that has changed since or stands in
+    another pipe; else a perfect one) and truth.json, whose calibration is always the perfect one. Every fifth frame
     is the LED's; a head with several cameras has a picture of each in every step, but of those whose slide was dark.
     Raises AnnulusError where the folder
     cannot be written or holds something.
@@ -54,7 +60,8 @@ def write_scan(
         if folder.is_dir() and any(folder.iterdir()):
             raise AnnulusError(f"{folder}: is not empty, expected a new folder for the scan")
         (folder / "frames").mkdir(parents=True, exist_ok=True)
-        (folder / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
+        known = calibration or world.calibration()
+        (folder / "calibration.json").write_text(json.dumps(known.to_dict(), indent=1) + "\n")
         (folder / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
         renderers = [Renderer(world, number) for number in range(len(world.cameras))]
         several = len(renderers) > 1
