@@ -17,7 +17,7 @@ import numpy as np
 
 from annulus_pipe.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus_pipe.numeric.native import door
-from annulus_pipe.wings.fringe.measure.track import BLOCK, MODULATED, ROBUST_FROM, TUKEY_SQUARED, Outcome
+from annulus_pipe.wings.fringe.measure.track import BLOCK, MODULATED, ROBUST_FROM, TUKEY_SQUARED, Tracked
 
 DEGREE = 3  # of the shading along the pipe; times 1, cos, sin of the direction
 TERMS = 3 * (DEGREE + 1)
@@ -116,7 +116,7 @@ def look_around(
     return out
 
 
-def follow_wall(frames: HeadFrames, light: HeadLight, points: BorePoints, tolerance: float) -> tuple[Outcome, IntArray]:
+def follow_wall(frames: HeadFrames, light: HeadLight, points: BorePoints, tolerance: float) -> tuple[Tracked, IntArray]:
     """Every wall point's height outwards, in a pipe's light (module docstring), and (P,) who told it: an eye's number,
     the number of eyes where several did, -1 where none.
 
@@ -125,7 +125,7 @@ def follow_wall(frames: HeadFrames, light: HeadLight, points: BorePoints, tolera
     A height is begun by one eye alone, for two on either side of a lamp see its light move in opposite ways.
     """
     count = len(points.base)
-    outcome, who = Outcome.of(count), np.full(count, -1)
+    outcome, who = Tracked.of(count), np.full(count, -1)
     _follow_wall(
         *map(np.ascontiguousarray, (*frames, light.shading)),
         light.blur_squared,

@@ -23,7 +23,7 @@ from annulus_pipe.wings.fringe.measure.track import (
     AMBIGUOUS,
     GOOD,
     UNMODULATED,
-    Outcome,
+    Tracked,
     TrackFrames,
     Tracks,
     follow,
@@ -330,7 +330,7 @@ def _order(
     chosen[0] = np.where(decided, chosen[0], np.nan)
     chosen[1] = np.where(decided, chosen[1], np.nan)
     chosen[6] = np.where(~decided & (chosen[6] == GOOD), AMBIGUOUS, chosen[6])
-    return Heights(*Outcome(*chosen), found.residual)
+    return Heights(*Tracked(*chosen), found.residual)
 
 
 def _continue(
@@ -358,4 +358,4 @@ def _spread(some: Heights, which: BoolArray) -> Heights:
     """(P,) values of some points put at those points' places among all; NaN elsewhere."""
     values = np.full((len(NAMES), len(which)), np.nan)
     values[:, which] = [getattr(some, name) for name in NAMES]
-    return Heights(*Outcome(*values), some.residual)
+    return Heights(*Tracked(*values), some.residual)

@@ -92,7 +92,7 @@ class Tracks(NamedTuple):
     start: FloatArray  # (P,) h that is begun with
 
 
-class Outcome(NamedTuple):
+class Tracked(NamedTuple):
     """What is written, all (P,)."""
 
     height: FloatArray  # mm, NaN unless the flag is GOOD
@@ -104,8 +104,8 @@ class Outcome(NamedTuple):
     flag: FloatArray  # GOOD, or why there is no height
 
     @staticmethod
-    def of(count: int) -> "Outcome":
-        return Outcome(*(np.full(count, np.nan) for _ in range(7)))
+    def of(count: int) -> "Tracked":
+        return Tracked(*(np.full(count, np.nan) for _ in range(7)))
 
 
 def follow(
@@ -115,14 +115,14 @@ def follow(
     noise: tuple[float, float, float],
     tolerance: float,
     residuals: bool = False,
-) -> tuple[Outcome, Float32Array]:
+) -> tuple[Tracked, Float32Array]:
     """Every point's height, and of each frame what its grey levels are off, (N, P), or (0, 0).
 
     drift_sigma : what is believed of g, 0 for none. noise : variance of a grey level I is noise . (1, I, I^2).
     tolerance : of h, where rounds end.
     """
     count, points = len(frames.cameras), len(tracks.base)
-    outcome = Outcome.of(points)
+    outcome = Tracked.of(points)
     left = np.empty((count, points) if residuals else (0, 0), np.float32)
     _follow(
         *(None if one is None else np.ascontiguousarray(one) for one in (*frames, *tracks)),
