@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from annulus_pipe.numeric.late import stats
+from annulus_pipe.numeric.late import special
 from annulus_pipe.untrusted import whole, within
 
 CERTAINTY, CONFIDENCE = 0.80, 0.95  # what specifications of in-line tools state, where nobody says otherwise
@@ -54,7 +54,9 @@ class Proportion:
         """Raises ValueError, one line, for what is none."""
         n = whole(found.get("n"), "n", 0, COUNT_MAX)
         hits = whole(found.get("hits"), "hits", 0, n)
-        lower, upper, confidence = (within(found.get(name), name, 0.0, 1.0) for name in ("lower", "upper", "confidence"))
+        lower, upper, confidence = (
+            within(found.get(name), name, 0.0, 1.0) for name in ("lower", "upper", "confidence")
+        )
         return cls(hits, n, hits / n if n else math.nan, lower, upper, confidence)
 
 
@@ -110,8 +112,8 @@ class ClaimJudgement:
             within(found.get("certainty"), "certainty", 0.0, 1.0),
             within(found.get("confidence"), "confidence", 0.0, 1.0),
             Proportion.from_dict(found.get("proportion") or {}),
-            Outcome(found.get("outcome")),
-            Outcome(found.get("one_sided")),
+            Outcome(str(found.get("outcome"))),
+            Outcome(str(found.get("one_sided"))),
             whole(found.get("level"), "level", 1, 3),
             whole(found.get("needed"), "needed", 0, COUNT_MAX),
         )
@@ -126,8 +128,10 @@ def proportion(hits: int, n: int, confidence: float = CONFIDENCE, sides: int = 2
     level = confidence if sides == 2 else 2.0 * confidence - 1.0  # two one-sided bounds are one wider interval
     if level <= 0.0:
         raise ValueError(f"a one-sided bound of {confidence:g} confidence says nothing, expected more than 0.5")
-    ends = stats.binomtest(hits, n).proportion_ci(level, method="exact")
-    return Proportion(hits, n, hits / n, float(ends.low), float(ends.high), confidence)
+    beyond = (1.0 - level) / 2.0
+    lower = float(special.betaincinv(hits, n - hits + 1, beyond)) if hits else 0.0
+    upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - beyond)) if hits < n else 1.0
+    return Proportion(hits, n, hits / n, lower, upper, confidence)
 
 
 def judge_claim(
