@@ -27,6 +27,7 @@ WORDS: Mapping[str, str] = {  # of every field, in the order in which people are
     "material": "Material",
     "sdr": "SDR",
     "nominal_diameter_mm": "Nominal diameter",
+    "temperature_c": "Temperature of the pipe",
     "launch": "Launched at",
     "receive": "Received at",
     "direction": "Direction of the scan",
@@ -35,7 +36,11 @@ WORDS: Mapping[str, str] = {  # of every field, in the order in which people are
     "head": "Head, serial number",
     "remarks": "Remarks",
 }
-NUMBERS: Mapping[str, tuple[float, float]] = {"sdr": (3.0, 100.0), "nominal_diameter_mm": (5.0, 10_000.0)}
+NUMBERS: Mapping[str, tuple[float, float]] = {
+    "sdr": (3.0, 100.0),
+    "nominal_diameter_mm": (5.0, 10_000.0),
+    "temperature_c": (-40.0, 80.0),
+}
 BEFORE: Mapping[str, str] = {"who": "operator", "where": "site", "what": "pipe"}  # names of recordings until 2026
 
 
@@ -49,6 +54,7 @@ class JobSheet:
     material: str = ""
     sdr: float | None = None  # outer diameter over wall thickness
     nominal_diameter_mm: float | None = None
+    temperature_c: float | None = None
     launch: str = ""
     receive: str = ""
     direction: str = ""
@@ -144,7 +150,7 @@ class Origin:
     utc : of its first and last moment, ISO; "" where no clock was kept. controller : what it said of itself.
     calibration : "provenance" of its calibration.json, section by section; empty where none is known. versions : of
     the program that recorded. observations : what was marked, by distance; marks_left_out : how much more was, but
-    cannot be read, or is too many to show.
+    cannot be read, or is too many to show. calibration_fingerprint : of the numbers that were measured with.
     """
 
     job: JobSheet = field(default_factory=JobSheet)
@@ -155,6 +161,7 @@ class Origin:
     versions: Mapping[str, str] = field(default_factory=dict)
     observations: tuple[Observation, ...] = ()
     marks_left_out: int = 0
+    calibration_fingerprint: str = ""
 
 
 def provenance(calibration: object) -> dict[str, dict[str, Any]]:

@@ -17,6 +17,7 @@ CORE = {  # and what `--help` says of it
     "calibrate": "Measure the head: camera, rings, colours. Every answer goes into one calibration.json.",
     "reference": "A piece of pipe of known diameter: whether the head still measures it right, and what has drifted.",
     "pattern": "The projector's pattern.",
+    "certify": "What a head's diameters are worth: a gauge study on reference pieces of pipe, and its certificate.",
     "archive": "Surveys of many pipes over the years: a catalogue of them, and questions to it.",
     "firmware": "Look at the controller's firmware, put it on a board, watch what it says.",
     "selftest": "A second Pico plays camera, encoder and interlock to the controller, and times its outputs.",

@@ -16,6 +16,7 @@ from annulus_pipe.report import ScanAccount, keep_windows, prepare_folder, write
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.photographs import photographs
+from annulus_pipe.storage.calibration_file import fingerprint
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wall.conformity import Criteria, judge
@@ -47,7 +48,7 @@ class ReportContext:
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
         return ScanAccount(
             self.source,
-            origin=self.origin,
+            origin=replace(self.origin, calibration_fingerprint=fingerprint(job.calibration)),
             verdict=verdict,
             photographs=pictures,
             covariance_stated=job.calibration.covariance is not None,

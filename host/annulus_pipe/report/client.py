@@ -53,7 +53,7 @@ OVERALL = {
     Decision.UNDECIDED: ("Undecided", "look"),
     Decision.FAILS: ("Does not conform", ""),
 }
-SHEET_UNITS = {"nominal_diameter_mm": " mm", "sdr": ""}
+SHEET_UNITS = {"nominal_diameter_mm": " mm", "sdr": "", "temperature_c": " °C"}
 assert SHEET_UNITS.keys() == NUMBERS.keys()
 
 

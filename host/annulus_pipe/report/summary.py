@@ -145,7 +145,11 @@ def _origin(origin: Origin) -> dict[str, Any]:
         "begun_utc": begun or None,
         "ended_utc": ended or None,
         "controller": dict(origin.controller),
-        "calibration": {"file": origin.calibration_file or None, **{k: dict(v) for k, v in origin.calibration.items()}},
+        "calibration": {
+            "file": origin.calibration_file or None,
+            "fingerprint": origin.calibration_fingerprint or None,
+            **{k: dict(v) for k, v in origin.calibration.items()},
+        },
         "recorded_with": dict(origin.versions),
     }
 

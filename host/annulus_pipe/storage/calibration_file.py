@@ -1,5 +1,6 @@
 """calibration.json on disk."""
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from annulus_pipe.vocabulary import AnnulusError
 
 Part = TypeVar("Part")
 
+FINGERPRINT_DIGITS = 16  # 64 bits: people compare them, and nobody forges a calibration
 SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
 
 
@@ -26,6 +28,12 @@ def load_calibration(path: Where) -> Calibration:
         return Calibration.from_dict(data)
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}.") from None
+
+
+def fingerprint(calibration: Calibration) -> str:
+    """What tells a calibration from every other, whichever file has it: the first digits of its numbers' SHA-256."""
+    numbers = json.dumps(calibration.to_dict(), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(numbers.encode()).hexdigest()[:FINGERPRINT_DIGITS]
 
 
 def load_sections(path: Where) -> dict[str, Any]:

@@ -108,6 +108,7 @@ SURVEYS: Sequence[CatalogueColumn] = [
         "text",
         not_established="where its verdict is open, JSON: limits, z_from_mm, z_to_mm, clock_deg, arc_deg, reason",
     ),
+    *_columns("number", temperature_c="of the pipe, degrees Celsius, as the job says"),
 ]
 
 STATIONS: Sequence[CatalogueColumn] = [

@@ -130,7 +130,7 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
     known = figures(summary)
     diameter = mapping(summary.get("diameter_mm"), "diameter_mm")
     conformity = mapping(summary.get("conformity") or {}, "conformity")
-    sections = {k: v for k, v in calibration.items() if k != "file"}
+    sections = {k: v for k, v in calibration.items() if k not in ("file", "fingerprint")}
     calibrated = printable(json.dumps(sections, sort_keys=True)) if sections else None
     if calibrated is not None and len(calibrated) > CALIBRATED_MAX:
         raise ValueError(f"origin.calibration has {len(calibrated)} characters, expected at most {CALIBRATED_MAX}")
@@ -149,6 +149,7 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         },
         "sdr": job.sdr,
         "job_diameter_mm": job.nominal_diameter_mm,
+        "temperature_c": job.temperature_c,
         "nominal_diameter_mm": within(diameter.get("nominal"), "diameter_mm.nominal", 1.0, 1e5),
         "controller": who.get("serial"),
         "firmware": firmware or None,

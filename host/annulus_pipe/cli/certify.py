@@ -1,0 +1,384 @@
+"""`annulus certify`: a gauge study of a head on reference pieces of pipe, and its certificate."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from annulus_pipe.cli.pdf import PaperSize, on_paper
+from annulus_pipe.cli.show import Json, print_fields, verbs
+from annulus_pipe.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus_pipe.qualification.certificate import HeadInUse
+    from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
+    from annulus_pipe.qualification.study import Conditions, GaugeReading
+
+app = verbs()
+
+STATIONS_LEAST = 3  # of a piece in a run: fewer are no mean of it (a station every 5 mm of a sleeve of 50 has ten)
+SEEN_LEAST = 0.5  # of a station's circle: less, and its mean diameter is of a part of the wall
+RUNS = "runs.csv"
+
+Plan = Annotated[Path, typer.Argument(help="plan.toml: pieces, operators, repeats.")]
+Runs = Annotated[Path, typer.Option(help="runs.csv of `annulus certify plan`, filled in.")]
+
+
+@app.command("plan", epilog="Example: annulus certify plan plan.toml -o study")
+def plan_command(
+    plan: Plan,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for runs.csv; made if need be.")],
+    as_json: Json = False,
+) -> None:
+    """Write the runs of a study in an order drawn by lot, and say what it will be able to notice.
+
+    Each run is a scan like any other, reconstructed into the folder that its row names. Fill in the temperature.
+    """
+    from annulus_pipe.qualification.plan import planned, read_plan, runs_csv
+    from annulus_pipe.qualification.study import POWER, power
+
+    study = read_plan(plan)
+    runs, file = planned(study), out / RUNS
+    if file.exists():
+        raise AnnulusError(f"{file}: is there already. Expected a folder without one: what was filled in would be lost")
+    _write(file, runs_csv(runs))
+    noticed = power(study)
+    print_fields(
+        {
+            "runs": len(runs),
+            "readings": len(study.pieces) * len(study.operators) * study.repeats,
+            "degrees of freedom": study.degrees,
+            "refuses": f"a head that repeats twice as badly, in {100 * noticed:.0f} of 100 checks of this size"
+            + ("" if noticed >= POWER else f"; fewer than {100 * POWER:.0f}: add repeats or pieces"),
+            "written": str(file),
+        },
+        as_json,
+    )
+
+
+@app.command("key", epilog="Example: annulus certify key -o lab.key")
+def key_command(
+    out: Annotated[Path, typer.Option("-o", "--out", help="New file for the private key; the public one ends .pub.")],
+    as_json: Json = False,
+) -> None:
+    """Make the key that certificates are signed with: one file to keep to yourself, one to give away."""
+    import os
+
+    from annulus_pipe.qualification.signature import make_key
+
+    private, public = make_key()
+    shared = out.with_name(f"{out.name}.pub")
+    for there in (out, shared):
+        if there.exists():
+            raise AnnulusError(f"{there}: is there already, and a key is not written over. Choose another name.")
+    try:
+        with open(os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(private)
+        shared.write_bytes(public)
+    except OSError as error:
+        raise AnnulusError(f"{out}: cannot be written ({error.strerror}).") from None
+    print_fields({"private": f"{out} (yours alone)", "public": str(shared)}, as_json)
+
+
+@app.command(
+    "issue", epilog="Example: annulus certify issue plan.toml --runs study/runs.csv --key lab.key -o certificate"
+)
+def issue_command(
+    plan: Plan,
+    runs: Runs,
+    key: Annotated[Path, typer.Option(help="Private key of `annulus certify key`.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for certificate.json and its page.")],
+    day: Annotated[
+        str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of issue; today if not given.")
+    ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write certificate.pdf too; needs the extra pdf.")] = False,
+    paper: Annotated[PaperSize, typer.Option(help="Of certificate.pdf.")] = PaperSize.A4,
+    as_json: Json = False,
+) -> None:
+    """The certificate of a finished study: accuracy, repeatability, reproducibility, budget, validity."""
+    from dataclasses import replace
+
+    from annulus_pipe.qualification.certificate import FILE
+    from annulus_pipe.qualification.plan import read_plan, read_runs
+    from annulus_pipe.qualification.signature import sign
+    from annulus_pipe.qualification.study import certified
+
+    sheet = on_paper(pdf, paper)
+    issued = datetime.now(UTC).date() if day is None else _day(day)
+    study = read_plan(plan)
+    readings, conditions = _readings(study, read_runs(runs, study), runs)
+    made = certified(study, readings, conditions, issued)
+    made = replace(made, signature=sign(made.content(), key))
+    from annulus_pipe.report.certificate_page import certificate_page
+
+    page = certificate_page(made)
+    _write(out / "certificate.html", page)
+    if sheet is not None:
+        from annulus_pipe.report.pdf import to_pdf
+
+        _write(out / "certificate.pdf", to_pdf(page, sheet))
+    _write(out / FILE, json.dumps(made.to_dict(), indent=1, ensure_ascii=False) + "\n")
+    accuracy = made.accuracy
+    if as_json:
+        print(json.dumps(made.to_dict()))
+        return
+    print_fields(
+        {
+            "certificate": made.number,
+            "diameters": f"± {accuracy.U:.2g} % in 19 of 20 (bias {_signed(accuracy.bias.value)} % in it)",
+            ".. as optics drift": f"± {accuracy.U_drift:.2g} % without a reference section in the scan",
+            "repeatability": f"s_r {accuracy.s_r.value:.2g} % ({accuracy.s_r.low:.2g} to {accuracy.s_r.high:.2g})",
+            "reproducibility": f"s_R {accuracy.s_R.value:.2g} % ({accuracy.s_R.low:.2g} to {accuracy.s_R.high:.2g})",
+            "valid until": str(made.scope.until),
+            "page": str(out / "certificate.html"),
+        },
+        False,
+    )
+
+
+@app.command("verify", epilog="Example: annulus certify verify certificate/certificate.json --results results")
+def verify_command(
+    certificate: Annotated[Path, typer.Argument(help="certificate.json.")],
+    public: Annotated[
+        Path | None, typer.Option(help="Public key of whoever should have signed it; any signature if not given.")
+    ] = None,
+    results: Annotated[Path | None, typer.Option(help="Folder of results: whether it speaks for that scan.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Whether a certificate is as it was signed, by whom, still holds, and speaks for a scan. Status 1 where not."""
+    from annulus_pipe.qualification.certificate import Applicability, HeadInUse, read_certificate
+    from annulus_pipe.qualification.signature import public_key
+
+    made = read_certificate(certificate)
+    assert made.signature is not None
+    if public is not None and public_key(public) != made.signature.public_key:
+        raise AnnulusError(f"{certificate}: is signed by another key ({made.signature.fingerprint}) than {public}")
+    today = datetime.now(UTC).date()
+    if results is None:
+        scope = made.scope
+        inside = HeadInUse(
+            scope.head,
+            scope.calibration,
+            scope.firmware,
+            scope.software,
+            scope.diameter_mm[0],
+            None if scope.temperature_c is None else scope.temperature_c[0],
+            today,
+        )
+        standing, reasons = scope.standing(inside)
+        reasons = tuple(one for one in reasons if "lapsed" in one or "after the day" in one)
+        standing = Applicability.DOES_NOT if reasons else Applicability.APPLIES
+    else:
+        standing, reasons = made.scope.standing(in_use(_summary(results), results))
+    print_fields(
+        {
+            "certificate": made.number,
+            "signed": f"as it is, by {made.signature.fingerprint}",
+            "valid": f"{made.scope.issued} to {made.scope.until}",
+            "standing": str(standing),
+            **{f"because {i}": one for i, one in enumerate(reasons, 1)},
+        },
+        as_json,
+    )
+    if standing is Applicability.DOES_NOT:
+        raise typer.Exit(1)
+
+
+@app.command("check", epilog="Example: annulus certify check certificate.json plan.toml --runs june/runs.csv")
+def check_command(
+    certificate: Annotated[Path, typer.Argument(help="certificate.json.")],
+    plan: Plan,
+    runs: Runs,
+    as_json: Json = False,
+) -> None:
+    """Hold a head's certificate against later runs on reference pieces. Status 1 where they refuse it."""
+    from annulus_pipe.qualification.certificate import read_certificate
+    from annulus_pipe.qualification.plan import read_plan, read_runs
+    from annulus_pipe.qualification.study import compared
+
+    made, study = read_certificate(certificate), read_plan(plan)
+    if made.scope.head != study.head:
+        raise AnnulusError(f"{certificate}: is of head {made.scope.head}, and {plan} is of head {study.head}")
+    readings, conditions = _readings(study, read_runs(runs, study), runs)
+    if conditions.calibration and made.scope.calibration and conditions.calibration != made.scope.calibration:
+        raise AnnulusError(
+            f"{runs}: its runs have calibration {conditions.calibration}, and the certificate is of "
+            f"{made.scope.calibration}. A head calibrated anew needs a study of its own"
+        )
+    check = compared(made, study, readings)
+    print_fields(
+        {
+            "certificate": made.number,
+            "upheld": check.upheld if as_json else "yes" if check.upheld else "NO: it does not hold for this head",
+            **{f"test {i}": one for i, one in enumerate(check.reasons, 1)},
+        },
+        as_json,
+    )
+    if not check.upheld:
+        raise typer.Exit(1)
+
+
+def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tuple[list[GaugeReading], Conditions]":
+    """What every run read of every piece it shows, and what all runs have in common. Raises AnnulusError."""
+    from annulus_pipe.qualification.plan import ALL
+
+    pieces = {piece.name: piece for piece in study.pieces}
+    readings, common = list["GaugeReading"](), dict[str, tuple[str, int]]()
+    points = []
+    for run in runs:
+        folder = file.parent / run.results
+        summary = _summary(folder)
+        where = f"{file}: run {run.number} ({folder})"
+        _require_of_run(study, run, summary, where)
+        for what, value in _stated(summary).items():
+            first = common.setdefault(what, (value, run.number))
+            if value != first[0]:
+                own, before = (one or "not stated" for one in (value, first[0]))
+                raise AnnulusError(
+                    f"{where}: its {what} is {own}, that of run {first[1]} {before}. A certificate is of one "
+                    "head as it is"
+                )
+        frames = summary["frames"].get("projector") if isinstance(summary.get("frames"), Mapping) else None
+        if isinstance(frames, int) and frames > 0 and isinstance(summary.get("points"), int):
+            points.append(summary["points"] / frames)
+        shown = study.pieces if run.piece == ALL else (pieces[run.piece],)
+        readings += [_reading(run, piece, folder, summary, where) for piece in shown]
+    from annulus_pipe.qualification.study import Conditions
+
+    values = {what: value for what, (value, _) in common.items()}
+    return readings, Conditions(**values, points_per_picture=min(points) if points else math.nan)
+
+
+def _reading(
+    run: "StudyRun", piece: "ReferencePiece", folder: Path, summary: Mapping[str, Any], where: str
+) -> "GaugeReading":
+    import numpy as np
+
+    from annulus_pipe.qualification.study import GaugeReading
+    from annulus_pipe.storage.results_folder import STATIONS, read_stations, unreadable
+
+    try:
+        columns = read_stations(folder, summary)
+    except (OSError, ValueError) as error:
+        raise unreadable(folder / STATIONS, error) from None
+    first, last = piece.span_mm or (-math.inf, math.inf)
+    z, mean = columns["z_mm"], columns["diameter_mean_mm"]
+    inside = (z >= first) & (z <= last) & np.isfinite(mean) & (columns["valid_fraction"] >= SEEN_LEAST)
+    if int(inside.sum()) < STATIONS_LEAST:
+        raise AnnulusError(
+            f"{where}: {int(inside.sum())} stations of piece {piece.name} were seen, expected {STATIONS_LEAST} or more"
+            + (f" between {first:g} and {last:g} mm" if piece.span_mm else "")
+        )
+    ends = np.concatenate([columns[name][inside] for name in ("diameter_min_mm", "diameter_max_mm")])
+    oval = columns["ovality_f1216_percent"][inside]
+    return GaugeReading(
+        run,
+        piece,
+        float(mean[inside].mean()),
+        float(np.nanmax(np.abs(100.0 * (ends / piece.diameter_mm - 1.0)))),
+        float(np.nanmax(oval)) if np.isfinite(oval).any() else 0.0,
+        int(inside.sum()),
+        _drift_percent(summary),
+        hashlib.sha256(json.dumps(summary, sort_keys=True).encode()).hexdigest()[:12],
+    )
+
+
+def _drift_percent(summary: Mapping[str, Any]) -> float:
+    """Standard uncertainty of all diameters alike, percent, as the scan states it; 0 where it states none."""
+    scale = summary.get("scale")
+    k2 = scale.get("common_k2_percent") if isinstance(scale, Mapping) else None
+    return k2 / 2 if isinstance(k2, int | float) and 0.0 <= k2 < 100.0 else 0.0
+
+
+def _require_of_run(study: "StudyPlan", run: "StudyRun", summary: Mapping[str, Any], where: str) -> None:
+    """Where results say whose they are, they are this run's."""
+    job = _section(summary, "job")
+    others = {piece.name for piece in study.pieces} - {run.piece}
+    for what, stated, expected in (
+        ("head", job.get("head"), study.head),
+        ("operator", job.get("operator"), run.operator),
+    ):
+        if stated and stated != expected:
+            raise AnnulusError(f"{where}: is of {what} {stated}, expected {expected}")
+    if len(study.pieces) > 1 and job.get("pipe") in others and not study.one_pull:
+        raise AnnulusError(f"{where}: is of piece {job['pipe']}, expected {run.piece}")
+
+
+def _stated(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What a certificate is bound to, as results state it; "" where they do not."""
+    origin, versions = _section(summary, "origin"), _section(summary, "versions")
+    calibration, controller = _section(origin, "calibration"), _section(origin, "controller")
+    camera = _section(calibration, "camera")
+    lens = [str(camera[name])[:100] for name in ("by", "utc") if camera.get(name)]
+    if isinstance(camera.get("rms_px"), int | float):
+        lens.append(f"rms {camera['rms_px']:.3g} px")
+    firmware = [str(controller[name])[:60] for name in ("version", "git") if controller.get(name)]
+    return {
+        "calibration": str(calibration.get("fingerprint") or "")[:64],
+        "firmware": " ".join(firmware),
+        "software": str(versions.get("annulus") or "")[:60],
+        "lens": ", ".join(lens),
+    }
+
+
+def in_use(summary: Mapping[str, Any], folder: Path) -> "HeadInUse":
+    """What results state of the head that made them."""
+    from annulus_pipe.qualification.certificate import HeadInUse
+
+    job, origin, stated = _section(summary, "job"), _section(summary, "origin"), _stated(summary)
+    diameter, warm = _section(summary, "diameter_mm").get("mean"), job.get("temperature_c")
+    when = job.get("date") or str(origin.get("begun_utc") or "")[:10]
+    try:
+        day = date.fromisoformat(when) if when else None
+    except ValueError:
+        raise AnnulusError(f"{folder}: its day is {when!r}, expected YYYY-MM-DD") from None
+    return HeadInUse(
+        str(job.get("head") or ""),
+        stated["calibration"],
+        stated["firmware"],
+        stated["software"],
+        diameter if isinstance(diameter, int | float) else None,
+        warm if isinstance(warm, int | float) else None,
+        day,
+    )
+
+
+def _summary(folder: Path) -> Mapping[str, Any]:
+    from annulus_pipe.storage.results_folder import SUMMARY, read_summary, unreadable
+
+    try:
+        return read_summary(folder)
+    except (OSError, ValueError) as error:
+        raise unreadable(folder / SUMMARY, error) from None
+
+
+def _section(of: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = of.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise AnnulusError(f"--date {text}: expected a day, YYYY-MM-DD") from None
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2g}".replace("-", "−")
+
+
+def _write(path: Path, content: str | bytes) -> None:
+    from annulus_pipe.storage.whole import written_whole
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be written ({error.strerror}).") from None

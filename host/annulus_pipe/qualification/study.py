@@ -1,0 +1,312 @@
+"""From the runs of a gauge study to a certificate, and from later runs to whether that certificate still holds.
+
+certificate = certified(plan, readings, conditions, issued)   # signed by `signature.sign` of its content
+check = compared(certificate, plan, later)                    # check.upheld
+"""
+
+import calendar
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+
+import numpy as np
+
+from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.late import stats
+from annulus_pipe.qualification.budget import Contribution, budget
+from annulus_pipe.qualification.certificate import (
+    Accuracy,
+    BudgetRow,
+    Certificate,
+    CertificateScope,
+    CertifiedPiece,
+    CertifiedRun,
+    ProfilerForm,
+)
+from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
+from annulus_pipe.qualification.precision import Components, MeanSquare, components, precision
+
+SIGNIFICANCE = 0.025  # of the F test of `compared`: so many good heads it refuses; guarded by test_certificate.py
+TWICE = 2.0  # how much worse a head is that a plan is asked about: what a check must notice
+POWER = 0.95  # in how many studies such a head has to be refused; below, `annulus certify plan` says what to add
+ASKED_OPERATORS = 6  # laboratories that E691, section 9, asks for
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeReading:
+    """What one run read of one piece. diameter_mm : mean of its stations; error_direction : percent, the largest of any
+    station's smallest and largest diameter; ovality_percent : ASTM F1216, the largest; stations : how many.
+    drift_percent : standard uncertainty of all its diameters by what the optics may have drifted by, as the scan
+    states it; results : digits that name them."""
+
+    run: StudyRun
+    piece: ReferencePiece
+    diameter_mm: float
+    error_direction: float
+    ovality_percent: float
+    stations: int
+    drift_percent: float
+    results: str
+
+    @property
+    def error(self) -> float:
+        """Percent of the piece's diameter."""
+        return 100.0 * (self.diameter_mm / self.piece.diameter_mm - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What all runs have in common; "" where they do not say."""
+
+    calibration: str = ""
+    firmware: str = ""
+    software: str = ""
+    lens: str = ""
+    points_per_picture: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateCheck:
+    """Whether later runs bear a certificate out. reasons : against it, or what was compared."""
+
+    upheld: bool
+    reasons: tuple[str, ...]
+
+
+def certified(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Conditions, issued: date) -> Certificate:
+    """The certificate of a whole study, not yet signed. readings : of every run and piece of the plan, once."""
+    errors, kelvin = _cube(plan, readings)
+    parts = components(errors, kelvin)
+    slope = parts.per_kelvin
+    rows = _contributions(plan, parts, kelvin)
+    drift = max((one.drift_percent for one in readings), default=0.0)
+    own = budget(rows, parts.mean)
+    drifting = Contribution(
+        "drift of the optics until the next use", drift, math.inf, "B", "as the scans state it without a reference"
+    )
+    accuracy = Accuracy(
+        bias=parts.bias(_reference_u(plan)),
+        s_r=parts.repeatability(),
+        s_R=parts.reproducibility(),
+        u=own.u,
+        dof=None if math.isinf(own.dof) else float(own.dof),
+        k=own.k,
+        U=own.U,
+        U_drift=budget((*rows, drifting), parts.mean).U,
+        worst=float(np.abs(errors).max()),
+        worst_direction=max(one.error_direction for one in readings),
+        per_kelvin=slope,
+        repeat_dof=parts.repeats.dof,
+    )
+    return Certificate(
+        plan.title,
+        plan.laboratory,
+        _scope(plan, readings, conditions, issued),
+        plan.operators,
+        plan.repeats,
+        accuracy,
+        tuple(
+            BudgetRow(row.name, row.u, share, None if math.isinf(row.dof) else float(row.dof), row.kind, row.source)
+            for row, share in zip(own.rows, own.share, strict=True)
+        ),
+        tuple(_pieces(plan, errors)),
+        ProfilerForm(
+            0.0 if math.isnan(conditions.points_per_picture) else conditions.points_per_picture,
+            max(one.ovality_percent for one in readings),
+            conditions.lens,
+        ),
+        tuple(_runs(readings)),
+        tuple(_left_open(plan, kelvin, slope is not None)),
+    )
+
+
+def _cube(plan: StudyPlan, readings: Sequence[GaugeReading]) -> tuple[FloatArray, FloatArray]:
+    """Errors (q, p, n) in percent, and temperatures in degrees Celsius."""
+    shape = (len(plan.pieces), len(plan.operators), plan.repeats)
+    errors, celsius = np.full(shape, np.nan), np.full(shape, np.nan)
+    pieces = {piece.name: i for i, piece in enumerate(plan.pieces)}
+    operators = {name: i for i, name in enumerate(plan.operators)}
+    for one in readings:
+        at = pieces[one.piece.name], operators[one.run.operator], one.run.repeat - 1
+        errors[at], celsius[at] = one.error, one.run.temperature_c
+    if np.isnan(errors).any():
+        raise ValueError(f"{int(np.isfinite(errors).sum())} readings, expected {errors.size}")
+    return errors, celsius
+
+
+def _reference_u(plan: StudyPlan) -> float:
+    """Standard uncertainty that the pieces' diameters have in common, percent: one gauge measured them all."""
+    return max(50.0 * piece.k2_mm / piece.diameter_mm for piece in plan.pieces)
+
+
+def _contributions(plan: StudyPlan, parts: Components, celsius: FloatArray) -> tuple[Contribution, ...]:
+    """What the error of one diameter, read by any operator, is made of."""
+    q, p, n = parts.shape
+    below = parts.both if q > 1 else parts.repeats
+    rows = [
+        _type_a("repeats", parts.repeats, 1.0, f"E691: s_r of {q * p} cells of {n}"),
+        _difference(
+            "operators",
+            (parts.operators, below),
+            q * n,
+            1.0 + 1.0 / p,
+            f"analysis of variance, {p} operators; another one against their mean",
+        ),
+    ]
+    if q > 1:
+        rows += [
+            _difference("operator with piece", (parts.both, parts.repeats), n, 1.0, "analysis of variance"),
+            _difference(
+                "pieces differ", (parts.pieces, parts.both), p * n, 1.0 + 1.0 / q, f"analysis of variance, {q} pieces"
+            ),
+        ]
+    rows += [
+        _type_a("how well the bias is known", parts.repeats, 1.0 / (p * q * n), "standard deviation of the mean"),
+        Contribution("reference pieces", _reference_u(plan), math.inf, "B", _measured(plan)),
+    ]
+    if parts.per_kelvin is not None:
+        half = float(celsius.max() - celsius.min()) / 2
+        rows.append(
+            Contribution(
+                "temperature within the range",
+                math.hypot(*parts.per_kelvin) * half / math.sqrt(3.0),
+                parts.repeats.dof,
+                "A",
+                f"slope of the study over {2 * half:.3g} K, rectangular",
+            )
+        )
+    return tuple(rows)
+
+
+def _type_a(name: str, square: MeanSquare, part: float, source: str) -> Contribution:
+    return Contribution(name, math.sqrt(square.value * part), square.dof, "A", source)
+
+
+def _difference(
+    name: str, squares: tuple[MeanSquare, MeanSquare], times: int, factor: float, source: str
+) -> Contribution:
+    """What the greater mean square has beyond the less; its degrees of freedom are Satterthwaite's."""
+    more, less = squares
+    beyond = more.value - less.value
+    if beyond <= 0.0:
+        return Contribution(name, 0.0, math.inf, "A", source)
+    dof = beyond**2 / (more.value**2 / more.dof + (less.value**2 / less.dof if less.dof else 0.0))
+    return Contribution(name, math.sqrt(factor * beyond / times), dof, "A", source)
+
+
+def _measured(plan: StudyPlan) -> str:
+    return "; ".join(sorted({piece.measured_by for piece in plan.pieces if piece.measured_by})) or "as the plan states"
+
+
+def _scope(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Conditions, issued: date) -> CertificateScope:
+    diameters = [piece.diameter_mm for piece in plan.pieces]
+    celsius = [one.run.temperature_c for one in readings]
+    month = issued.month - 1 + plan.months
+    year, month = issued.year + month // 12, month % 12 + 1
+    until = date(year, month, min(issued.day, calendar.monthrange(year, month)[1]))
+    return CertificateScope(
+        plan.head,
+        conditions.calibration,
+        conditions.firmware,
+        conditions.software,
+        (min(diameters), max(diameters)),
+        None if any(math.isnan(one) for one in celsius) else (min(celsius), max(celsius)),
+        issued,
+        until,
+    )
+
+
+def _pieces(plan: StudyPlan, errors: FloatArray) -> list[CertifiedPiece]:
+    """E691 of each piece, of its readings as they came."""
+    out = []
+    for piece, own in zip(plan.pieces, errors, strict=True):
+        stated = precision(piece.diameter_mm * (1.0 + own / 100.0))
+        out.append(
+            CertifiedPiece(
+                piece.name,
+                piece.diameter_mm,
+                piece.k2_mm,
+                piece.measured_by,
+                stated.mean,
+                stated.s_r,
+                stated.s_R,
+                tuple(float(h) for h in stated.h),
+                tuple(float(k) for k in stated.k),
+            )
+        )
+    return out
+
+
+def _runs(readings: Sequence[GaugeReading]) -> list[CertifiedRun]:
+    return [
+        CertifiedRun(
+            one.run.number,
+            one.run.operator,
+            one.piece.name,
+            one.run.repeat,
+            None if math.isnan(one.run.temperature_c) else one.run.temperature_c,
+            one.diameter_mm,
+            one.error,
+            one.results,
+        )
+        for one in sorted(readings, key=lambda one: (one.run.number, one.piece.name))
+    ]
+
+
+def _left_open(plan: StudyPlan, celsius: FloatArray, sloped: bool) -> list[str]:
+    out = []
+    if len(plan.operators) < ASKED_OPERATORS:
+        out.append(
+            f"ASTM E691 asks for {ASKED_OPERATORS} laboratories; {len(plan.operators)} operators took part, and the "
+            "interval of the reproducibility is as wide as that makes it"
+        )
+    if np.isnan(celsius).any():
+        out.append("temperature: not every run has one, and none is certified")
+    elif not sloped:
+        out.append(
+            "temperature: it did not differ within operator and piece, so that what it does is in none of the numbers"
+        )
+    if len(plan.pieces) < 2:
+        out.append("other diameters: one piece was measured")
+    out.append("defects, joints, levels and distances: their sizes and how surely they are detected (`annulus pod`)")
+    out.append("a wall that light enters farther than the pieces', a dirty lens, a pipe under water")
+    return out
+
+
+def compared(
+    certificate: Certificate, plan: StudyPlan, readings: Sequence[GaugeReading], *, drifting: bool = True
+) -> CertificateCheck:
+    """Whether later runs of the same head bear its certificate out.
+
+    Two tests: the repeatability of the runs against the certified one (F, at SIGNIFICANCE), and their mean error
+    against the certified U, which a head as certified leaves more seldom than single errors do (1 of 20). Single errors
+    are not counted: those of one operator go together, and 9 of 100 good heads were refused by their count.
+    drifting : the scans have no reference section, so that U is the one with drift.
+    """
+    errors, celsius = _cube(plan, readings)
+    parts, accuracy = components(errors, celsius), certificate.accuracy
+    reasons, upheld = list[str](), True
+    s = math.sqrt(parts.repeats.value)
+    ratio = parts.repeats.value / accuracy.s_r.value**2 if accuracy.s_r.value > 0.0 else math.inf
+    most = float(stats.f.ppf(1.0 - SIGNIFICANCE, parts.repeats.dof, accuracy.repeat_dof))
+    if ratio > most:
+        upheld = False
+    reasons.append(
+        f"repeatability: s_r {s:.3g} % for {accuracy.s_r.value:.3g} %, a ratio of squares of {ratio:.3g}, "
+        f"{'over' if ratio > most else 'within'} {most:.3g}"
+    )
+    allowed = accuracy.U_drift if drifting else accuracy.U
+    if abs(parts.mean) > allowed:
+        upheld = False
+    reasons.append(
+        f"mean error: {parts.mean:+.3g} %, {'outside of' if abs(parts.mean) > allowed else 'within'} ± {allowed:.3g} %"
+    )
+    return CertificateCheck(upheld, tuple(reasons))
+
+
+def power(plan: StudyPlan) -> float:
+    """In how many of such studies a head that repeats TWICE as badly is refused by the first test of `compared`."""
+    dof = plan.degrees
+    most = float(stats.f.ppf(1.0 - SIGNIFICANCE, dof, dof))
+    return float(stats.f.sf(most / TWICE**2, dof, dof))
