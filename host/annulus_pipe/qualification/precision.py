@@ -154,7 +154,8 @@ class Components:
             down += ((1.0 - one.dof / chi_high) * c * one.value) ** 2
             up += ((one.dof / chi_low - 1.0) * c * one.value) ** 2
         low, high = total - math.sqrt(down), total + math.sqrt(up)
-        return Interval(math.sqrt(total), math.sqrt(max(0.0, low)), math.sqrt(high))
+        total = max(total, self.repeats.value)  # E691: operators who differ by less than their repeats do not differ
+        return Interval(math.sqrt(total), math.sqrt(max(0.0, low)), math.sqrt(max(high, total)))
 
 
 def components(errors: FloatArray, kelvin: FloatArray | None = None) -> Components:

@@ -269,7 +269,7 @@ def _left_open(plan: StudyPlan, celsius: FloatArray, sloped: bool) -> list[str]:
         )
     if len(plan.pieces) < 2:
         out.append("other diameters: one piece was measured")
-    out.append("defects, joints, levels and distances: their sizes and how surely they are detected (`annulus pod`)")
+    out.append("defects, joints, levels and distances: their sizes and how surely they are detected (a POD says)")
     out.append("a wall that light enters farther than the pieces', a dirty lens, a pipe under water")
     return out
 

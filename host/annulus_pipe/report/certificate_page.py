@@ -1,5 +1,6 @@
 """certificate.html: what a gauge study showed of a head, for whom its numbers are quoted to, on paper too."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,6 +17,7 @@ ACCURACY_ASKED, REPEATABILITY_ASKED = 0.5, 0.12  # percent: what certified profi
 RADII_ASKED = 1080  # a picture: ASTM F3080
 MARKS = "osD^vPX*<>"  # of operators
 HEIGHT_IN = 3.4
+DECIMALS_MOST = 6  # of a percentage: a nanometre of a 4-inch pipe
 INKS = ("#1f5fa8", "#c2611f", "#3b7d3a", "#7b4aa0", "#8a6d1d", "#a02c4a", "#2b7f86", "#555f6b")
 
 
@@ -156,11 +158,18 @@ def _states(certificate: Certificate) -> Iterator[tuple[str, str, str]]:
 
 
 def _bounds(interval: Interval) -> str:
-    return f"{interval.low:.3f} to {interval.high:.3f}"
+    places = max(_places(interval.low), _places(interval.high))
+    return f"{interval.low:.{places}f} to {interval.high:.{places}f}"
 
 
 def _percent(value: float) -> str:
-    return f"{value:.3f} %"
+    return f"{value:.{_places(value)}f} %"
+
+
+def _places(value: float) -> int:
+    """Three decimals, and of what would show as 0 so many that it does not."""
+    small = 0.0 < abs(value) < 0.005
+    return min(DECIMALS_MOST, 1 - math.floor(math.log10(abs(value)))) if small else 3
 
 
 def _met(is_met: bool) -> str:

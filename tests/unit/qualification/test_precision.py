@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from annulus_pipe.qualification.precision import precision
+from annulus_pipe.qualification.precision import components, precision
 
 STUDY: dict[str, Any] = json.loads((Path(__file__).parents[2] / "data/e691_glucose.json").read_text(encoding="utf-8"))
 
@@ -45,3 +45,12 @@ def test_what_e691_flags_is_flagged() -> None:
 def test_too_little_is_refused(values: Any) -> None:
     with pytest.raises(ValueError, match=r"expected 2 of both|a result is missing"):
         precision(values)
+
+
+def test_operators_who_differ_by_less_than_their_repeats_do_not_differ() -> None:
+    """E691: a reproducibility below the repeatability is set to it; of one piece, and of all together."""
+    errors = np.array([[[-1.0, 1.0], [-1.0, 1.0]], [[-2.0, 2.0], [-2.0, 2.0]], [[3.0, -3.0], [3.0, -3.0]]])
+    of_all = components(errors)
+    assert of_all.reproducibility().value == of_all.repeatability().value > 0
+    assert of_all.reproducibility().low <= of_all.reproducibility().value <= of_all.reproducibility().high
+    assert all(one.s_R == one.s_r for one in map(precision, errors))
