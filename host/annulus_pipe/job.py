@@ -163,6 +163,14 @@ class Origin:
     marks_left_out: int = 0
     calibration_fingerprint: str = ""
 
+    @property
+    def day(self) -> datetime.date | None:
+        """Of the scan: the job's, or else that of the recorder's clock."""
+        try:
+            return datetime.date.fromisoformat(self.job.date or self.utc[0][:10])
+        except ValueError:
+            return None
+
 
 def provenance(calibration: object) -> dict[str, dict[str, Any]]:
     """How each section of a calibration.json came about, as far as it says: its numbers and words, lists left out."""

@@ -137,6 +137,12 @@ def reconstruct(
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
     ] = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            help="certificate.json of `annulus certify`, which the report quotes; the recording's own if none."
+        ),
+    ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[PaperSize, typer.Option(help="Of report.pdf.")] = PaperSize.A4,
     show_as: Annotated[
@@ -165,7 +171,14 @@ def reconstruct(
         # What is refused is refused before the rest is imported, and a folder made.
         work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
         look_at(work)
-    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.cli.results import (
+        ReportContext,
+        WindowFiles,
+        measured_by,
+        qualification_of,
+        refuse,
+        write_results,
+    )
     from annulus_pipe.cli.summary import print_summary
     from annulus_pipe.reprocess.executors import Processes
     from annulus_pipe.scans.origin import origin_of
@@ -179,6 +192,8 @@ def reconstruct(
             "job": job,
             "limits": limits,
         }
+        if certificate is not None:
+            raise AnnulusError(f"--certificate {certificate}: certificates are of heads that project rings")
         refuse(wing[0], given)
         account = ReportContext(str(scan), origin_of(wing[0].scan, calibration, sheet), criteria)
         results = measured_by(wing, StoragePath(out.absolute()), account, Processes(workers), show_as, paper=printed)
@@ -192,10 +207,11 @@ def reconstruct(
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess.whole import surveyed
 
+    vouching = qualification_of(work.scan, certificate)
     origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
     with progress(show_as) as bars:
-        place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria)
+        place, beside = StoragePath(out.absolute()), ReportContext(str(scan), origin, criteria, vouching)
         done = surveyed(
             work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
         )

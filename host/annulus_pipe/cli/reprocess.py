@@ -187,7 +187,14 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
             path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections
         )
         look_at(work)
-    from annulus_pipe.cli.results import ReportContext, WindowFiles, measured_by, refuse, write_results
+    from annulus_pipe.cli.results import (
+        ReportContext,
+        WindowFiles,
+        measured_by,
+        qualification_of,
+        refuse,
+        write_results,
+    )
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess.whole import surveyed
     from annulus_pipe.scans.origin import origin_of
@@ -201,7 +208,7 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
     origin = origin_of(work.scan, given.calibration)
     if place.local is not None:
         prepare_folder(place.local)
-    about = ReportContext(scan, origin)
+    about = ReportContext(scan, origin, qualification=qualification_of(work.scan, None))
     done = surveyed(work, place, executor, WindowFiles(about, place), bars, keep=True)
     write_results(done, about, place)
     return {

@@ -3,19 +3,24 @@ window by window."""
 
 import contextlib
 import hashlib
+import math
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from annulus_pipe import hooks
 from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
+from annulus_pipe.qualification.certificate import HeadInUse
+from annulus_pipe.qualification.quoting import Qualification
 from annulus_pipe.report import ScanAccount, keep_windows, prepare_folder, write, write_whole, write_window
+from annulus_pipe.report.summary import versions
 from annulus_pipe.report.whole import WINDOWS, window_folder
 from annulus_pipe.reprocess.job import Job
 from annulus_pipe.reprocess.photographs import photographs
+from annulus_pipe.scans.scan import Scan
 from annulus_pipe.storage.calibration_file import fingerprint
 from annulus_pipe.storage.place import StoragePath
 from annulus_pipe.vocabulary import AnnulusError
@@ -35,20 +40,25 @@ ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for anoth
 
 @dataclass(frozen=True, slots=True)
 class ReportContext:
-    """What a report is told beside the survey. source : what was scanned, for people. limits : of a verdict."""
+    """What a report states beside the survey. source : what was scanned, for people. limits : of a verdict.
+    qualification : the files that vouch for the head."""
 
     source: str
     origin: Origin
     limits: Criteria | None = None
+    qualification: Qualification = field(default_factory=Qualification)
 
     def account(self, job: Job, survey: Survey, **counted: Any) -> ScanAccount:
         """counted : the fields of ScanAccount that come from the scan: frames, drops, timing, findings."""
         verdict = None if self.limits is None else judge(survey, self.limits)
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
+        origin = replace(self.origin, calibration_fingerprint=fingerprint(job.calibration))
+        anchored = survey.scale is not None and bool(survey.scale.references)
         return ScanAccount(
             self.source,
-            origin=replace(self.origin, calibration_fingerprint=fingerprint(job.calibration)),
+            origin=origin,
+            stated=self.qualification.quoted(_in_use(origin, survey), anchored=anchored),
             verdict=verdict,
             photographs=pictures,
             covariance_stated=job.calibration.covariance is not None,
@@ -59,6 +69,27 @@ class ReportContext:
         """The same of a stretch: what an operator marked elsewhere is left out."""
         marked = tuple(one for one in self.origin.observations if first_mm <= one.z_mm < last_mm)
         return replace(self, origin=replace(self.origin, observations=marked))
+
+
+def qualification_of(scan: Scan, certificate: Path | None) -> Qualification:
+    """The files that vouch for a scan's head: those named, and where none is, the recording's own. Raises AnnulusError
+    for one named that is none."""
+    recorded = (scan.recording.configuration or {}) if scan.recording is not None else {}
+    return Qualification.read(certificate).over(Qualification.recorded(recorded.get("qualification")))
+
+
+def _in_use(origin: Origin, survey: Survey) -> HeadInUse:
+    """What a scan states of the head that made it."""
+    diameter = survey.diameter_mean_mm
+    return HeadInUse(
+        origin.job.head,
+        origin.calibration_fingerprint,
+        " ".join(origin.controller[name] for name in ("version", "git") if origin.controller.get(name)),
+        versions()["annulus"],
+        diameter if math.isfinite(diameter) else None,
+        origin.job.temperature_c,
+        origin.day,
+    )
 
 
 @dataclass(frozen=True, slots=True)

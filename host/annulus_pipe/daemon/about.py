@@ -9,6 +9,8 @@ from annulus_pipe.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.daemon.controller_line import ControllerLine, lamp_numbers
 from annulus_pipe.daemon.evidence import versions
+from annulus_pipe.qualification.certificate import Applicability, HeadInUse
+from annulus_pipe.storage.calibration_file import fingerprint
 from annulus_pipe.untrusted import printable
 
 NAMES_MAX = 32  # sections of a provenance, and names in one
@@ -17,6 +19,7 @@ NAMES_MAX = 32  # sections of a provenance, and names in one
 def about(config: HeadConfig, line: ControllerLine | None) -> dict[str, Any]:
     """Plain types, as README.md lists them; what is not known is None or empty."""
     timing, calibration = config.timing, config.calibration
+    standing, state = certificate_state(config)
     identity = line.head.identity if line is not None else None
     return {
         "version": versions()["annulus"],
@@ -43,6 +46,7 @@ def about(config: HeadConfig, line: ControllerLine | None) -> dict[str, Any]:
             "provenance": _bounded(config.provenance),
             "age_days": _age_days(config.provenance),
         },
+        "certificate": {"standing": standing, "text": state},
         "controller": None
         if line is None or identity is None
         else {
@@ -57,6 +61,21 @@ def about(config: HeadConfig, line: ControllerLine | None) -> dict[str, Any]:
         else {"folder": str(config.record_folder), "codec": config.record.codec.value},
         "sensors": [{"kind": one.kind, "name": one.name} for one in config.sensors],
     }
+
+
+def certificate_state(config: HeadConfig) -> tuple[Applicability | None, str]:
+    """Whether the head's certificate speaks for it today, as far as no scan and no controller needs to be asked."""
+    calibration = config.calibration
+    use = HeadInUse(
+        config.job.head,
+        "" if calibration is None else fingerprint(calibration),
+        "",
+        versions()["annulus"],
+        None if calibration is None else 2 * calibration.pipe_radius_mm,
+        config.job.temperature_c,
+        datetime.now(UTC).date(),
+    )
+    return config.qualification.state(use)
 
 
 def _ascii(name: bytes) -> str:

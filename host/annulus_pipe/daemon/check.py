@@ -15,6 +15,7 @@ from pathlib import Path
 import zmq
 
 from annulus_pipe.capture.camera import CameraDriver, EndOfFrames, grab
+from annulus_pipe.daemon.about import certificate_state
 from annulus_pipe.daemon.camera_config import CameraConfig
 from annulus_pipe.daemon.cameras import apply_controls, open_camera
 from annulus_pipe.daemon.config import HeadConfig, SocketConfig, load_config
@@ -29,6 +30,7 @@ from annulus_pipe.link.hardware import interlock_line, use_both_inputs
 from annulus_pipe.link.messages import InterlockFlag, Polarity
 from annulus_pipe.link.pins import pins_text
 from annulus_pipe.link.problems import too_old
+from annulus_pipe.qualification.certificate import Applicability
 from annulus_pipe.stream.access import Doorkeeper
 from annulus_pipe.stream.frames import CHANNELS
 from annulus_pipe.vocabulary import AnnulusError
@@ -65,6 +67,7 @@ def check_head(path: Path) -> list[CheckRow]:
             found.append(CheckRow(what, False, str(error)))
 
     look("calibration", lambda: _calibration(config), "" if config.calibration else "none: nothing is seen live")
+    found.append(_certificate(config))
     look(
         "controller",
         lambda: _controller(config.port or "", config.interlock_antivalent),
@@ -87,6 +90,11 @@ def _calibration(config: HeadConfig) -> str:
     cameras = ", ".join(f"camera {one.id} {one.camera.width}x{one.camera.height}" for one in config.calibration.cameras)
     later = "" if config.calibration.frame_by_frame else "; nothing is seen live: its frames are measured together"
     return cameras + later
+
+
+def _certificate(config: HeadConfig) -> CheckRow:
+    standing, text = certificate_state(config)
+    return CheckRow("certificate", None if standing is not Applicability.DOES_NOT else False, text)
 
 
 def _controller(port: str, antivalent: bool) -> str:

@@ -1,7 +1,7 @@
 """head.toml: everything the daemon must know of one head. README.md beside this file shows one with every key."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -12,13 +12,14 @@ from annulus_pipe.daemon.camera_config import CAMERA_KINDS, CameraConfig, Camera
 from annulus_pipe.daemon.wiring import check_triggers, inverted_pins, trigger_of
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.job import WORDS, JobSheet, provenance
+from annulus_pipe.qualification.quoting import Qualification
 from annulus_pipe.record.codec import DEFAULT, Codec
 from annulus_pipe.rings.colour import ColourProfile
 from annulus_pipe.sensors.chips import CHIPS
 from annulus_pipe.sensors.i2c import bus_number
 from annulus_pipe.sensors.odometer import MAX_SPEED_MM_S
 from annulus_pipe.sensors.remote import NAME
-from annulus_pipe.storage.calibration_file import load_calibration, load_part, load_sections
+from annulus_pipe.storage.calibration_file import load_calibration, load_part, load_sections, require_size
 from annulus_pipe.stream.access import Keys, curve_pair
 from annulus_pipe.stream.frames import CAMERAS_MAX
 from annulus_pipe.untrusted import TOML_MAX, parse_toml, read_file, shown
@@ -126,6 +127,7 @@ class HeadConfig:
     provenance: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the calibration
     optics: Optics | None = None  # goes into the recording
     references: tuple[ReferenceSection, ...] = ()  # of the pipe; goes into the recording
+    qualification: Qualification = field(default_factory=Qualification)  # what vouches for it; goes into the recording
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
@@ -161,6 +163,7 @@ class HeadConfig:
             "calibration_provenance": {name: dict(made) for name, made in self.provenance.items()},
             "optics": {} if self.optics is None else self.optics.to_dict(),
             "reference": sections_to_dict(self.references),
+            "qualification": self.qualification.to_dict(),
             "sectors": asdict(self.sectors),
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
@@ -200,6 +203,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     ),
     "optics": ("lens", "slide", "tube", "calibrated_c"),
     "reference": ("sections_mm", "diameter_mm", "u_mm"),
+    "qualification": ("certificate",),
     "sectors": ("air_pf", "coupling_ff", "ahead_mm"),
     "workers": ("count", "slots"),
     "log": ("file", "max_mb", "keep"),
@@ -232,6 +236,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     check_triggers(cameras)
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
     paint = _optional(data, "calibration", "colour")
+    certificate = _optional(data, "qualification", "certificate")
     workers, control = data.get("workers", {}), data.get("control", {})
     config = HeadConfig(
         cameras=cameras,
@@ -248,6 +253,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         provenance={} if calibration_file is None else provenance(load_sections(folder / calibration_file)),
         optics=Optics.from_dict(data["optics"]) if "optics" in data else None,
         references=sections_from(data["reference"]) if "reference" in data else (),
+        qualification=Qualification.read(None if certificate is None else folder / certificate),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
@@ -429,19 +435,6 @@ def _socket(data: Mapping[str, Any], section: str, folder: Path) -> SocketConfig
     address = _optional(data, section, "address")
     keys = _keys(data.get(section, {}), section, folder)
     return None if address is None else SocketConfig(address, keys)
-
-
-def require_size(calibration: Calibration, sizes: Sequence[tuple[int, int]]) -> None:
-    """Raises AnnulusError when the calibration is of cameras of other sizes, or of more than the head has."""
-    for one in calibration.cameras:
-        if one.id >= len(sizes):
-            raise AnnulusError(f"calibration knows a camera {one.id}, but the head has {len(sizes)}, from 0")
-        (width, height), camera = sizes[one.id], one.camera
-        if (camera.width, camera.height) != (width, height):
-            raise AnnulusError(
-                f"calibration is for {camera.width}x{camera.height} but the camera gives {width}x{height}. "
-                "Calibrate with the camera in use."
-            )
 
 
 def _keys(content: Mapping[str, Any], section: str, folder: Path) -> Keys | None:

@@ -24,7 +24,7 @@ import zmq
 from annulus_pipe.capture.camera import CameraDriver
 from annulus_pipe.daemon.account import Account, ScanReport
 from annulus_pipe.daemon.camera_feed import CameraFeed
-from annulus_pipe.daemon.config import HeadConfig, require_size
+from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus_pipe.daemon.intake import RESERVE, InSlot
 from annulus_pipe.daemon.ledger import ExitStatus
@@ -40,6 +40,7 @@ from annulus_pipe.daemon.vitals import Turns, Vitals
 from annulus_pipe.hooks import watch
 from annulus_pipe.labelling.navigation import Navigation
 from annulus_pipe.sensors.sample import Sensor
+from annulus_pipe.storage.calibration_file import require_size
 from annulus_pipe.stream.frames import CHANNELS, FrameHeader
 from annulus_pipe.vocabulary import AnnulusError, Label
 
@@ -66,8 +67,7 @@ class Session:
         if cameras is not None and len(cameras) != len(config.cameras):
             raise ValueError(f"{len(cameras)} cameras, but the configuration has {len(config.cameras)}")
         if config.calibration is not None:
-            sizes = [(camera.width, camera.height) for camera in cameras or config.cameras]
-            require_size(config.calibration, sizes)
+            require_size(config.calibration, [(one.width, one.height) for one in cameras or config.cameras])
         self.config, self._cameras, self._sensors, self._name = config, cameras, sensors, name
         self._state = State.OFF
         self._account = Account()

@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus_pipe.qualification.precision import Interval
+from annulus_pipe.qualification.precision import LIMIT, Interval
 from annulus_pipe.qualification.signature import Signature, canonical
 from annulus_pipe.untrusted import mapping, number, parse_json, printable, read_file, shown, text, whole, within
 from annulus_pipe.vocabulary import AnnulusError
@@ -198,6 +198,14 @@ class Certificate:
     def is_signed(self) -> bool:
         """Whether it is as whoever signed it left it."""
         return self.signature is not None and self.signature.holds(self.content())
+
+    def statement(self, percent: float) -> str:
+        """What a report quotes, one line. percent : U, of a scan that a reference section anchors, or U_drift."""
+        accuracy = self.accuracy
+        return (
+            f"diameters keep ± {percent:.2g} % in 19 of 20, a bias of {accuracy.bias.value:+.2g} % in it; limits of "
+            f"repeatability {LIMIT * accuracy.s_r.value:.2g} %, of reproducibility {LIMIT * accuracy.s_R.value:.2g} %"
+        )
 
     def content(self) -> dict[str, Any]:
         """All of it but the signature, in plain types: what is signed."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from annulus_pipe.job import Origin
+from annulus_pipe.qualification.quoting import QuotedStatements
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.conformity import Verdict
 from annulus_pipe.wall.photograph import Photograph
@@ -18,7 +19,7 @@ class ScanAccount:
     timing_ms : by step. findings : what is wrong with the frames, for people. truth : scores on the twin; passed
     through, never looked at. origin : whose job it was, when, with which calibration. verdict : against the limits
     that somebody named. photographs : of defects, from LED frames. covariance_stated : whether the calibration says
-    how well it is known, so that the points' sigma have it.
+    how well it is known, so that the points' sigma have it. stated : of the head, by the files that vouch for it.
     """
 
     source: str
@@ -31,3 +32,4 @@ class ScanAccount:
     verdict: Verdict | None = None
     photographs: tuple[Photograph, ...] = ()
     covariance_stated: bool = False
+    stated: QuotedStatements = field(default_factory=QuotedStatements)

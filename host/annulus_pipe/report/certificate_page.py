@@ -111,16 +111,6 @@ def certificate_page(certificate: Certificate) -> str:
     )
 
 
-def statement(certificate: Certificate, *, drifting: bool) -> str:
-    """What a report quotes, one line. drifting : the scan has no reference section that anchors it."""
-    accuracy = certificate.accuracy
-    within = accuracy.U_drift if drifting else accuracy.U
-    return (
-        f"diameters keep ± {within:.2g} % in 19 of 20, bias of {accuracy.bias.value:+.2g} % in it; repeatability limit "
-        f"{LIMIT * accuracy.s_r.value:.2g} %, reproducibility limit {LIMIT * accuracy.s_R.value:.2g} %"
-    )
-
-
 def _valid(certificate: Certificate) -> Iterator[tuple[str, str]]:
     scope = certificate.scope
     yield "Head, serial number", scope.head

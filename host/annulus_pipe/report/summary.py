@@ -79,6 +79,7 @@ def summarize(survey: Survey, account: ScanAccount, files_ms: float, beside: Seq
             "size_mm": stored(survey.size_limit_mm),
             "ovality_percent": survey.detection.limits.ovality_percent,
         },
+        "qualification": account.stated.to_dict(),
         "drops": dict(account.drops),
         "rejected": dict(survey.rejected),
         "timing_ms": {name: stored(value) for name, value in timing.items()},

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +34,19 @@ def fingerprint(calibration: Calibration) -> str:
     """What tells a calibration from every other, whichever file has it: the first digits of its numbers' SHA-256."""
     numbers = json.dumps(calibration.to_dict(), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(numbers.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+
+
+def require_size(calibration: Calibration, sizes: Sequence[tuple[int, int]]) -> None:
+    """Raises AnnulusError when the calibration is of cameras of other sizes, or of more than the head has."""
+    for one in calibration.cameras:
+        if one.id >= len(sizes):
+            raise AnnulusError(f"calibration knows a camera {one.id}, but the head has {len(sizes)}, from 0")
+        (width, height), camera = sizes[one.id], one.camera
+        if (camera.width, camera.height) != (width, height):
+            raise AnnulusError(
+                f"calibration is for {camera.width}x{camera.height} but the camera gives {width}x{height}. "
+                "Calibrate with the camera in use."
+            )
 
 
 def load_sections(path: Where) -> dict[str, Any]:

@@ -11,68 +11,12 @@ import pytest
 
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.qualification.budget import Contribution, budget
-from annulus_pipe.qualification.certificate import (
-    Applicability,
-    Certificate,
-    HeadInUse,
-    parse_certificate,
-    read_certificate,
-)
-from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, planned
+from annulus_pipe.qualification.certificate import Applicability, HeadInUse, parse_certificate, read_certificate
 from annulus_pipe.qualification.precision import components
-from annulus_pipe.qualification.signature import make_key, sign
-from annulus_pipe.qualification.study import Conditions, GaugeReading, certified, compared, power
+from annulus_pipe.qualification.signature import sign
+from annulus_pipe.qualification.study import certified, compared, power
 from annulus_pipe.vocabulary import AnnulusError
-
-DAY = date(2026, 11, 29)
-CONDITIONS = Conditions("ab12cd34ef567890", "1.4.0 abc", "0.1.0", "annulus calibrate camera, rms 0.2 px", 1700.0)
-PIECES = tuple(ReferencePiece(f"sleeve {n}", d, 0.02) for n, d in (("A", 151.8), ("B", 152.4), ("C", 153.2)))
-PLAN = StudyPlan("three sleeves", "7", "laboratory", ("Ames", "Bose"), 6, PIECES, one_pull=True)
-
-
-class World:
-    """A head whose errors are known: standard deviations in percent of the diameter."""
-
-    def __init__(self, bias: float, operator: float, both: float, repeat: float, slope: float = 0.0) -> None:
-        self.bias, self.operator, self.both, self.repeat, self.slope = bias, operator, both, repeat, slope
-
-    @property
-    def s_R(self) -> float:
-        return math.sqrt(self.operator**2 + self.both**2 + self.repeat**2)
-
-    def study(self, rng: np.random.Generator, plan: StudyPlan) -> tuple[FloatArray, FloatArray, float]:
-        """Errors (q, p, n), temperatures, and the true mean error of these pieces and operators."""
-        q, p, n = len(plan.pieces), len(plan.operators), plan.repeats
-        gauge = rng.normal(0.0, 50.0 * plan.pieces[0].k2_mm / plan.pieces[0].diameter_mm)
-        operator, both = rng.normal(0.0, self.operator, p), rng.normal(0.0, self.both, (q, p))
-        warm = rng.uniform(12.0, 22.0, (q, p, n))
-        true = self.bias + operator[None, :, None] + both[:, :, None] + self.slope * (warm - 17.0)
-        mean = self.bias + float(operator.mean()) + float(both.mean()) + self.slope * (float(warm.mean()) - 17.0)
-        return true + gauge + rng.normal(0.0, self.repeat, (q, p, n)), warm, mean
-
-
-WORLDS = {
-    "repeats": World(0.05, 0.0, 0.0, 0.03),
-    "operators": World(-0.08, 0.03, 0.0, 0.03),
-    "warm": World(0.02, 0.02, 0.02, 0.03, 0.004),
-}
-
-
-def readings(plan: StudyPlan, errors: FloatArray, warm: FloatArray) -> list[GaugeReading]:
-    out = []
-    for run in planned(replace(plan, one_pull=False)):
-        i = [piece.name for piece in plan.pieces].index(run.piece)
-        at = (i, plan.operators.index(run.operator), run.repeat - 1)
-        piece, error = plan.pieces[i], float(errors[at])
-        run = replace(run, temperature_c=float(warm[at]))
-        out.append(GaugeReading(run, piece, piece.diameter_mm * (1 + error / 100), abs(error), 0.01, 20, 0.0, "0" * 12))
-    return out
-
-
-def made(seed: int = 1) -> Certificate:
-    rng = np.random.default_rng(seed)
-    errors, warm, _ = WORLDS["operators"].study(rng, PLAN)
-    return certified(PLAN, readings(PLAN, errors, warm), CONDITIONS, DAY)
+from tests.unit.qualification.known_heads import CONDITIONS, DAY, PLAN, WORLDS, World, made, readings, signed_file
 
 
 def coverage(studies: int, seed: int) -> dict[str, FloatArray]:
@@ -180,14 +124,9 @@ def test_a_certificate_speaks_for_its_head_alone(
 
 
 def test_nobody_changes_a_digit_of_it(tmp_path: Path) -> None:
-    private, public = make_key()
-    key, file = tmp_path / "lab.key", tmp_path / "certificate.json"
-    key.write_bytes(private)
-    certificate = made()
-    certificate = replace(certificate, signature=sign(certificate.content(), key))
-    file.write_text(json.dumps(certificate.to_dict(), indent=3))
+    file = signed_file(tmp_path)
     read = read_certificate(file)
-    assert read == certificate and read.number == certificate.number and read.is_signed
+    assert read == replace(made(), signature=read.signature) and read.number == made().number and read.is_signed
     data = json.loads(file.read_text())
     for change in (
         lambda content: content["accuracy"].update(U=0.01),
@@ -209,6 +148,5 @@ def test_nobody_changes_a_digit_of_it(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=line):
             parse_certificate(json.dumps(wrong).encode())
-    key.write_bytes(public)
     with pytest.raises(AnnulusError, match="no private key"):
-        sign(certificate.content(), key)
+        sign(made().content(), tmp_path / "lab.key.pub")

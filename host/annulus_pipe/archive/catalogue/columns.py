@@ -108,6 +108,8 @@ SURVEYS: Sequence[CatalogueColumn] = [
         "text",
         not_established="where its verdict is open, JSON: limits, z_from_mm, z_to_mm, clock_deg, arc_deg, reason",
     ),
+    *_columns("text", certificate="what its head's certificate states of diameters, or why it states nothing"),
+    *_columns("number", accuracy_percent="what diameters keep in 19 of 20 by that certificate; NULL: not established"),
     *_columns("number", temperature_c="of the pipe, degrees Celsius, as the job says"),
 ]
 

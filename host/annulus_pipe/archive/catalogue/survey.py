@@ -129,6 +129,8 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
     first, last = scanned(summary)
     known = figures(summary)
     diameter = mapping(summary.get("diameter_mm"), "diameter_mm")
+    qualification = mapping(summary.get("qualification") or {}, "qualification")
+    accuracy = mapping(qualification.get("accuracy") or {}, "qualification.accuracy")
     conformity = mapping(summary.get("conformity") or {}, "conformity")
     sections = {k: v for k, v in calibration.items() if k not in ("file", "fingerprint")}
     calibrated = printable(json.dumps(sections, sort_keys=True)) if sections else None
@@ -171,6 +173,10 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         "depth_limit_mm": known.get("limits.depth_mm"),
         "size_limit_mm": known.get("limits.size_mm"),
         "ovality_limit_percent": known.get("limits.ovality_percent"),
+        "certificate": _text(accuracy.get("text"), "qualification.accuracy.text"),
+        "accuracy_percent": None
+        if accuracy.get("percent") is None
+        else within(accuracy["percent"], "qualification.accuracy.percent", 0.0, 1e6),
         "limits": _text(conformity.get("title"), "conformity.title"),
         "decision": _text(conformity.get("decision"), "conformity.decision"),
         "not_established": _open_places(conformity.get("not_established")),

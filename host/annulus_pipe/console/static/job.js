@@ -176,6 +176,7 @@ function tellHead(app, about, head, made) {
     ["age", calibration ? age(app, calibration.age_days) : ""],
     ["diameter", calibration ? (quoted(calibration.nominal_diameter_mm, { ...EXTENT, places: 1 }) ?? "") : ""],
     ["controller", controller ? [controller.board, controller.version, controller.commit].filter(Boolean).join(", ") : t("job.about.none")],
+    ["certificate", about.certificate?.text ?? ""],
     ["cameras", (about.cameras ?? []).map((one) => `${one.number}: ${one.width} × ${one.height}`).join("; ")],
     ["record", about.record ? `${about.record.folder}, ${about.record.codec}` : t("job.about.unrecorded")],
     ["version", about.version ?? ""],
