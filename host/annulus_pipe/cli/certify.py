@@ -23,6 +23,8 @@ app = verbs()
 
 STATIONS_LEAST = 3  # of a piece in a run: fewer are no mean of it (a station every 5 mm of a sleeve of 50 has ten)
 SEEN_LEAST = 0.5  # of a station's circle: less, and its mean diameter is of a part of the wall
+APART_K = 5.0  # of a run's own temperature and that of runs.csv: as far as a certificate reaches beyond its runs
+YEARS = 2000, 2199  # of a day of issue
 RUNS = "runs.csv"
 
 Plan = Annotated[Path, typer.Argument(help="plan.toml: pieces, operators, repeats.")]
@@ -109,7 +111,8 @@ def issue_command(
     from annulus_pipe.qualification.study import certified
 
     sheet = on_paper(pdf, paper)
-    issued = datetime.now(UTC).date() if day is None else _day(day)
+    sign({}, key)  # a key that is none is noticed before all runs are read
+    issued = _today() if day is None else _day(day)
     study = read_plan(plan)
     readings, conditions = _readings(study, read_runs(runs, study), runs)
     made = certified(study, readings, conditions, issued)
@@ -158,7 +161,7 @@ def verify_command(
     assert made.signature is not None
     if public is not None and public_key(public) != made.signature.public_key:
         raise AnnulusError(f"{certificate}: is signed by another key ({made.signature.fingerprint}) than {public}")
-    today = datetime.now(UTC).date()
+    today = _today()
     if results is None:
         scope = made.scope
         inside = HeadInUse(
@@ -214,6 +217,7 @@ def check_command(
     print_fields(
         {
             "certificate": made.number,
+            "valid": f"{made.scope.issued} to {made.scope.until}{', lapsed' * (made.scope.until < _today())}",
             "upheld": check.upheld if as_json else "yes" if check.upheld else "NO: it does not hold for this head",
             **{f"test {i}": one for i, one in enumerate(check.reasons, 1)},
         },
@@ -248,8 +252,9 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
             points.append(summary["points"] / frames)
         shown = study.pieces if run.piece == ALL else (pieces[run.piece],)
         readings += [_reading(run, piece, folder, summary, where) for piece in shown]
-    from annulus_pipe.qualification.study import Conditions
+    from annulus_pipe.qualification.study import Conditions, require_own_pieces
 
+    require_own_pieces(study, readings, str(file))
     values = {what: value for what, (value, _) in common.items()}
     return readings, Conditions(**values, points_per_picture=min(points) if points else math.nan)
 
@@ -305,6 +310,9 @@ def _require_of_run(study: "StudyPlan", run: "StudyRun", summary: Mapping[str, A
     ):
         if stated and stated != expected:
             raise AnnulusError(f"{where}: is of {what} {stated}, expected {expected}")
+    warm = job.get("temperature_c")
+    if isinstance(warm, int | float) and abs(warm - run.temperature_c) > APART_K:  # never of one that is NaN
+        raise AnnulusError(f"{where}: is of {warm:g} degC, and the file has {run.temperature_c:g}")
     if len(study.pieces) > 1 and job.get("pipe") in others and not study.one_pull:
         raise AnnulusError(f"{where}: is of piece {job['pipe']}, expected {run.piece}")
 
@@ -362,11 +370,18 @@ def _section(of: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return found if isinstance(found, Mapping) else {}
 
 
+def _today() -> date:
+    return datetime.now(UTC).date()
+
+
 def _day(text: str) -> date:
     try:
-        return date.fromisoformat(text)
+        day = date.fromisoformat(text)
     except ValueError:
         raise AnnulusError(f"--date {text}: expected a day, YYYY-MM-DD") from None
+    if not YEARS[0] <= day.year <= YEARS[1]:
+        raise AnnulusError(f"--date {text}: expected a year in {YEARS[0]}..{YEARS[1]}")
+    return day
 
 
 def _signed(value: float) -> str:

@@ -257,11 +257,14 @@ def read_certificate(path: Path) -> Certificate:
 
 def parse_certificate(data: bytes) -> Certificate:
     """The same of a file's bytes. Raises ValueError."""
-    made = Certificate.from_dict(parse_json(data, SIZE_MAX))
+    top = parse_json(data, SIZE_MAX)
+    made = Certificate.from_dict(top)
     if made.signature is None:
         raise ValueError("nobody has signed it")
     if not made.is_signed:
         raise ValueError("it is not as it was signed: something in it was changed")
+    if top.get("number") != made.number:
+        raise ValueError(f"its number is {shown(top.get('number'))}, expected {made.number} by its content")
     return made
 
 

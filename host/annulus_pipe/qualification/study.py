@@ -26,10 +26,14 @@ from annulus_pipe.qualification.certificate import (
 )
 from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
 from annulus_pipe.qualification.precision import Components, MeanSquare, components, precision
+from annulus_pipe.vocabulary import AnnulusError
 
 SIGNIFICANCE = 0.025  # of the F test of `compared`: so many good heads it refuses; guarded by test_certificate.py
 TWICE = 2.0  # how much worse a head is that a plan is asked about: what a check must notice
 POWER = 0.95  # in how many studies such a head has to be refused; below, `annulus certify plan` says what to add
+FAR_PERCENT = 5.0  # of its diameter: ten times what owners ask of a profiler; no head that scans a pipe errs by it ..
+APART_PERCENT = 1.0  # .. nor by so much more of one piece than of the study's others
+UNITS = {25.4: "inches", 10.0: "centimetres"}  # in mm; a plan in metres or feet has no diameter that is one
 ASKED_OPERATORS = 6  # laboratories that E691, section 9, asks for
 
 
@@ -119,6 +123,29 @@ def certified(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Con
         tuple(_runs(readings)),
         tuple(_left_open(plan, kelvin, slope is not None)),
     )
+
+
+def require_own_pieces(plan: StudyPlan, readings: Sequence[GaugeReading], where: str) -> None:
+    """AnnulusError for a reading that is not of the piece it stands for, by its size, and for the same results twice: a
+    study of mixed units, or of pieces that were mistaken, would certify a head of some percent."""
+    middle = float(np.median([one.error for one in readings]))
+    first: dict[str, int] = {}
+    for one in readings:
+        run, stated = one.run.number, f"piece {one.piece.name}, {one.piece.diameter_mm:g} mm"
+        if first.setdefault(one.results, run) != run:
+            raise AnnulusError(f"{where}: run {run} has the results of run {first[one.results]}, expected its own")
+        away = abs(one.error - middle)
+        for other in plan.pieces:
+            there = abs(100.0 * (one.diameter_mm / other.diameter_mm - 1.0) - middle)
+            if away > APART_PERCENT and there < away / 4:
+                raise AnnulusError(
+                    f"{where}: run {run} reads {one.diameter_mm:.2f} mm of {stated}. That is the size of {other.name}"
+                )
+        if not abs(one.error) <= FAR_PERCENT:
+            parts = (one.diameter_mm / one.piece.diameter_mm / mm for mm in UNITS)
+            unit = [name for name, part in zip(UNITS.values(), parts, strict=True) if abs(part - 1) < FAR_PERCENT / 100]
+            hint = f"The plan's diameters look like {unit[0]}" if unit else "Is it of another piece?"
+            raise AnnulusError(f"{where}: run {run} reads {one.diameter_mm:.2f} mm of {stated}. {hint}")
 
 
 def _cube(plan: StudyPlan, readings: Sequence[GaugeReading]) -> tuple[FloatArray, FloatArray]:

@@ -142,6 +142,7 @@ def test_nobody_changes_a_digit_of_it(tmp_path: Path) -> None:
     for wrong, line in (
         ({**data, "signature": None}, "nobody has signed it"),
         ({**data, "format": "annulus-certificate/9"}, "its format is"),
+        ({**data, "number": "000000000000"}, "its number is '000000000000', expected"),
         ({**data, "content": {**data["content"], "more": 1}}, "holds what no certificate of this format has"),
         ({**data, "content": {**data["content"], "accuracy": {}}}, "accuracy.bias must be a mapping"),
         ({**data, "signature": {"algorithm": "Ed25519", "public_key": "zz", "value": ""}}, "64 hexadecimal digits"),
