@@ -24,6 +24,8 @@ from annulus_pipe.cli.show import Bars, Json, print_findings, progress
 from annulus_pipe.cli.terminal import OutputError, end_of_output, escaped
 from annulus_pipe.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus_pipe.cli.tune import tune
+from annulus_pipe.cli.unity import EXAMPLE as UNITY_EXAMPLE
+from annulus_pipe.cli.unity import unity
 from annulus_pipe.hooks import opened
 from annulus_pipe.untrusted import one_line
 from annulus_pipe.vocabulary import AnnulusError
@@ -49,6 +51,7 @@ add_nouns(app)
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
 app.command(epilog=REPROCESS_EXAMPLE)(reprocess)
+app.command(epilog=UNITY_EXAMPLE)(unity)
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 

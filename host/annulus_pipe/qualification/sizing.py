@@ -23,7 +23,7 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.late import optimize, stats
 from annulus_pipe.numeric.rounding import MEASURE, digits_k2, quoted
 from annulus_pipe.qualification.validation import CONFIDENCE, COUNT_MAX
-from annulus_pipe.untrusted import mapping, number, whole, within
+from annulus_pipe.untrusted import mapping, number, shown, whole, within
 
 CERTAINTIES = (0.80, 0.90)
 MM_MAX = 1e6  # of a size or its error: a kilometre
@@ -103,11 +103,9 @@ class Sizing:
             lines.append(f"standard deviation without what the true sizes may be off: {own} mm")
         lines += [one.statement(self.n) for one in self.tolerances]
         if self.left_out:
-            lines.append(f"{self.left_out} reported as lower limits, left out")
+            lines.append(f"left out, reported as lower limits: {self.left_out}")
         if self.without_u:
-            lines.append(
-                f"{self.without_u} true sizes without an uncertainty: what they may be off counts as the tool's"
-            )
+            lines.append(f"true sizes without an uncertainty, which counts as the tool's: {self.without_u}")
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -210,8 +208,10 @@ def _sizing_tolerance(
 
 def _tolerance(found: Mapping[str, Any]) -> SizingTolerance:
     certainty, confidence = (within(found.get(name), name, 0.0, 1.0) for name in ("certainty", "confidence"))
-    needed = whole(found.get("needed"), "needed", 0, COUNT_MAX)
-    return SizingTolerance(certainty, confidence, _maybe(found, "tolerance_mm"), Basis(str(found.get("basis"))), needed)
+    size, basis = _maybe(found, "tolerance_mm"), Basis(str(found.get("basis")))
+    if (basis is Basis.NONE) != math.isnan(size):
+        raise ValueError(f"tolerance_mm is {shown(found.get('tolerance_mm'))} of {basis}")
+    return SizingTolerance(certainty, confidence, size, basis, whole(found.get("needed"), "needed", 0, COUNT_MAX))
 
 
 def _maybe(found: Mapping[str, Any], name: str) -> float:

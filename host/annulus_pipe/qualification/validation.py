@@ -22,7 +22,7 @@ from enum import StrEnum
 from typing import Any
 
 from annulus_pipe.numeric.late import special
-from annulus_pipe.untrusted import whole, within
+from annulus_pipe.untrusted import mapping, whole, within
 
 CERTAINTY, CONFIDENCE = 0.80, 0.95  # what specifications of in-line tools state, where nobody says otherwise
 COUNT_MAX = 10_000_000  # measurements: more are no validation that anybody dug for
@@ -111,7 +111,7 @@ class ClaimJudgement:
             n,
             within(found.get("certainty"), "certainty", 0.0, 1.0),
             within(found.get("confidence"), "confidence", 0.0, 1.0),
-            Proportion.from_dict(found.get("proportion") or {}),
+            Proportion.from_dict(mapping(found.get("proportion"), "proportion")),
             Outcome(str(found.get("outcome"))),
             Outcome(str(found.get("one_sided"))),
             whole(found.get("level"), "level", 1, 3),

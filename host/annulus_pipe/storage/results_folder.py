@@ -98,6 +98,16 @@ class ListedPlace:
         return self.arc_deg >= 360.0
 
 
+@dataclass(frozen=True, slots=True)
+class UnseenStretch:
+    """Wall that a scan did not see, of summary.json."""
+
+    z_from_mm: float
+    z_to_mm: float
+    clock_deg: float
+    arc_deg: float
+
+
 def read_summary(folder: Path) -> Mapping[str, Any]:
     """summary.json of a pipe's results, its form looked at and nothing else of it. Raises OSError and ValueError."""
     summary = mapping(parse_json(read_file(folder / SUMMARY, JSON_MAX), JSON_MAX), "summary")
@@ -218,6 +228,22 @@ def places(summary: Mapping[str, Any], name: str) -> tuple[ListedPlace, ...]:
     if not isinstance(found, list) or len(found) > PLACES_MAX:
         raise ValueError(f"{name} must be a list of at most {PLACES_MAX}")
     return tuple(_place(mapping(one, f"{name}, entry {i + 1},"), f"{name}[{i}]") for i, one in enumerate(found))
+
+
+def unseen(summary: Mapping[str, Any]) -> tuple[UnseenStretch, ...]:
+    """What the scan did not see; none in a summary of before it was listed."""
+    found = summary.get("not_seen", [])
+    if not isinstance(found, list) or len(found) > PLACES_MAX:
+        raise ValueError(f"not_seen must be a list of at most {PLACES_MAX}")
+    out = []
+    for i, one in enumerate(found):
+        hole = mapping(one, f"not_seen, entry {i + 1},")
+        first, last = (
+            within(hole.get(end), f"not_seen[{i}].{end}", -MM_MAX, MM_MAX) for end in ("z_from_mm", "z_to_mm")
+        )
+        clock = within(hole.get("clock_deg"), f"not_seen[{i}].clock_deg", -360.0, 360.0)
+        out.append(UnseenStretch(first, last, clock, within(hole.get("arc_deg"), f"not_seen[{i}].arc_deg", 0.0, 360.0)))
+    return tuple(out)
 
 
 def _place(found: Mapping[str, Any], what: str) -> ListedPlace:

@@ -99,7 +99,7 @@ def test_a_lower_limit_is_no_error() -> None:
     pairs = [SizedPair(1.0 + 0.01 * i, 1.0) for i in range(6)]
     sizing = size_errors([*pairs, SizedPair(0.2, 3.0, at_least=True)])
     assert (sizing.n, sizing.left_out) == (6, 1) and sizing.mean_mm == pytest.approx(0.025)
-    assert "1 reported as lower limits, left out" in sizing.statement()
+    assert "left out, reported as lower limits: 1" in sizing.statement()
 
 
 @pytest.mark.parametrize(

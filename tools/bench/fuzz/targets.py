@@ -46,6 +46,7 @@ from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
 from tools.bench.fuzz.recordings import mcap_case, mcap_read, packed_case
 from tools.bench.fuzz.rig_lines import rig_case, rig_read
+from tools.bench.fuzz.unity_files import unity_case, unity_read
 
 ROOT = Path(__file__).parents[3]
 BEFORE = ROOT / "tests/data/before"
@@ -427,4 +428,5 @@ TARGETS: dict[str, Target] = {
     "joint": Target(joint_case, joint_read),
     "wall": Target(_wall_case, _wall_read),
     "catalogue": Target(catalogue_case, catalogue_read),
+    "unity": Target(unity_case, unity_read),
 }
