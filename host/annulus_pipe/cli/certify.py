@@ -49,14 +49,15 @@ def plan_command(
     if file.exists():
         raise AnnulusError(f"{file}: is there already. Expected a folder without one: what was filled in would be lost")
     _write(file, runs_csv(runs))
-    noticed = power(study)
+    alike, each = power(study)
+    how_many = f"{100 * each:.0f}" if alike == each else f"{100 * alike:.0f} to {100 * each:.0f}"
     print_fields(
         {
             "runs": len(runs),
             "readings": len(study.pieces) * len(study.operators) * study.repeats,
-            "degrees of freedom": study.degrees,
-            "refuses": f"a head that repeats twice as badly, in {100 * noticed:.0f} of 100 checks of this size"
-            + ("" if noticed >= POWER else f"; fewer than {100 * POWER:.0f}: add repeats or pieces"),
+            "refuses": f"a head that repeats twice as badly, in {how_many} of 100 checks of this size"
+            + ("" if alike == each else ", as pieces of one pull err alike or not")
+            + ("" if alike >= POWER else f"; {100 * POWER:.0f} need more repeats, or a scan a piece"),
             "written": str(file),
         },
         as_json,
@@ -238,6 +239,7 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
         folder = file.parent / run.results
         summary = _summary(folder)
         where = f"{file}: run {run.number} ({folder})"
+        digest = _digest(folder)
         _require_of_run(study, run, summary, where)
         for what, value in _stated(summary).items():
             first = common.setdefault(what, (value, run.number))
@@ -251,7 +253,7 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
         if isinstance(frames, int) and frames > 0 and isinstance(summary.get("points"), int):
             points.append(summary["points"] / frames)
         shown = study.pieces if run.piece == ALL else (pieces[run.piece],)
-        readings += [_reading(run, piece, folder, summary, where) for piece in shown]
+        readings += [_reading(run, piece, folder, summary, where, digest) for piece in shown]
     from annulus_pipe.qualification.study import Conditions, require_own_pieces
 
     require_own_pieces(study, readings, str(file))
@@ -260,7 +262,7 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
 
 
 def _reading(
-    run: "StudyRun", piece: "ReferencePiece", folder: Path, summary: Mapping[str, Any], where: str
+    run: "StudyRun", piece: "ReferencePiece", folder: Path, summary: Mapping[str, Any], where: str, digest: str
 ) -> "GaugeReading":
     import numpy as np
 
@@ -279,18 +281,47 @@ def _reading(
             f"{where}: {int(inside.sum())} stations of piece {piece.name} were seen, expected {STATIONS_LEAST} or more"
             + (f" between {first:g} and {last:g} mm" if piece.span_mm else "")
         )
+    _require_not_anchored_by(piece, summary, where)
+    read_mm = float(mean[inside].mean())
     ends = np.concatenate([columns[name][inside] for name in ("diameter_min_mm", "diameter_max_mm")])
     oval = columns["ovality_f1216_percent"][inside]
     return GaugeReading(
         run,
         piece,
-        float(mean[inside].mean()),
+        read_mm,
         float(np.nanmax(np.abs(100.0 * (ends / piece.diameter_mm - 1.0)))),
         float(np.nanmax(oval)) if np.isfinite(oval).any() else 0.0,
         int(inside.sum()),
         _drift_percent(summary),
-        hashlib.sha256(json.dumps(summary, sort_keys=True).encode()).hexdigest()[:12],
+        digest,
     )
+
+
+def _digest(folder: Path) -> str:
+    """What names a scan's results: of its stations, which are the same however often they are made of one scan."""
+    from annulus_pipe.storage.results_folder import CSV_MAX, STATIONS, unreadable
+    from annulus_pipe.untrusted import read_file
+
+    try:
+        return hashlib.sha256(read_file(folder / STATIONS, CSV_MAX)).hexdigest()[:12]
+    except (OSError, ValueError) as error:
+        raise unreadable(folder / STATIONS, error) from None
+
+
+def _require_not_anchored_by(piece: "ReferencePiece", summary: Mapping[str, Any], where: str) -> None:
+    """A piece that was named as the scan's reference section reads what it was named as: that shows nothing."""
+    first, last = piece.span_mm or (-math.inf, math.inf)
+    sections = _section(summary, "scale").get("references")
+    for section in sections if isinstance(sections, list) else ():
+        if not isinstance(section, Mapping) or not section.get("used"):
+            continue
+        begins, ends = section.get("z_from_mm"), section.get("z_to_mm")
+        apart = isinstance(begins, int | float) and isinstance(ends, int | float) and (begins >= last or ends <= first)
+        if not apart:
+            raise AnnulusError(
+                f"{where}: its diameters are anchored by a reference section where piece {piece.name} lies. Expected "
+                "results that know nothing of the piece, or one with from_mm and to_mm elsewhere"
+            )
 
 
 def _drift_percent(summary: Mapping[str, Any]) -> float:

@@ -126,8 +126,8 @@ class BudgetRow:
 
 @dataclass(frozen=True, slots=True)
 class CertifiedRun:
-    """A reading: of which run, whose, of which piece; error : percent. results : the first digits of its summary's
-    SHA-256."""
+    """A reading: of which run, whose, of which piece; error : percent. results : the first digits of its
+    stations' SHA-256."""
 
     number: int
     operator: str
@@ -159,7 +159,7 @@ class Accuracy:
     worst: float
     worst_direction: float
     per_kelvin: tuple[float, float] | None
-    repeat_dof: int
+    repeat_dof: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +307,7 @@ def _accuracy(section: Mapping[str, Any]) -> Accuracy:
         worst=percent("worst"),
         worst_direction=percent("worst_direction"),
         per_kelvin=None if slope is None else _pair(slope, "accuracy.per_kelvin", -1e3, 1e3, rising=False),
-        repeat_dof=whole(section.get("repeat_dof"), "accuracy.repeat_dof", 1, 1 << 20),
+        repeat_dof=within(section.get("repeat_dof"), "accuracy.repeat_dof", 0.0, 1e12),
     )
 
 

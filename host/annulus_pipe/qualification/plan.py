@@ -53,11 +53,6 @@ class StudyPlan:
     one_pull: bool = False
     seed: int = 1
 
-    @property
-    def degrees(self) -> int:
-        """Of freedom that its repeatability will have."""
-        return len(self.pieces) * len(self.operators) * (self.repeats - 1)
-
 
 @dataclass(frozen=True, slots=True)
 class StudyRun:

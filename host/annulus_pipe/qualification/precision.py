@@ -4,10 +4,10 @@
     all = components(errors)    # (q, p, n): q pieces, the same operators, the same number of repeats
 
 What E691 states for one piece is stated as the standard has it. Of all pieces together errors are in percent of the
-diameter, and follow the two-way random model of a gauge study: error = bias + operator + operator with piece + repeat.
-Its intervals are exact (chi-squared, t) but for the reproducibility's, a sum of mean squares, whose interval is that of
-Graybill and Wang (1980; Burdick and Graybill, Confidence Intervals on Variance Components, 1992, section 3.2): it holds
-its confidence or a little more.
+diameter, and follow the random model of a gauge study: error = bias + operator + operator with piece + repeat, and
+where a run shows all pieces, + run: what the head was off in that run it is off in each of them. Intervals are exact
+(chi-squared, t) but for those of a sum of mean squares, which are Graybill and Wang's (1980; Burdick and Graybill,
+Confidence Intervals on Variance Components, 1992, section 3.2): they hold their confidence or a little more.
 """
 
 import math
@@ -21,7 +21,7 @@ from annulus_pipe.numeric.late import stats
 CONFIDENCE = 0.95  # of every interval here; a report's tolerances have the same
 LIMIT = 2.8  # times a standard deviation: what two results differ by in 19 of 20 pairs; E177, 1.96 sqrt(2) rounded
 SIGNIFICANCE = 0.005  # of h and k: the level of E691, section 15
-FORGETS_K = 0.5  # K: temperatures of one operator and piece that differ by less say nothing of a slope; a thermometer's
+SAME_K = 0.5  # K: temperatures of one operator and piece that differ by less say nothing of a slope; a thermometer's
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +111,45 @@ class MeanSquare:
 
 
 @dataclass(frozen=True, slots=True)
+class Variance:
+    """A variance as independent mean squares, each times a factor."""
+
+    terms: tuple[tuple[float, MeanSquare], ...]
+
+    @property
+    def value(self) -> float:
+        """Below 0 where a difference of mean squares happens to be."""
+        return sum(factor * square.value for factor, square in self.terms)
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom by Satterthwaite; infinite of what is 0."""
+        spread = sum((factor * square.value) ** 2 / square.dof for factor, square in self.terms if square.dof)
+        return self.value**2 / spread if spread > 0.0 else math.inf
+
+    def times(self, factor: float) -> "Variance":
+        return Variance(tuple((factor * own, square) for own, square in self.terms))
+
+    def interval(self) -> Interval:
+        """Of the standard deviation; all factors positive. Of one mean square it is exact."""
+        down = up = 0.0
+        for factor, square in self.terms:
+            if square.dof:
+                low, high = (float(stats.chi2.ppf(part, square.dof)) for part in _ends())
+                down += ((1.0 - square.dof / high) * factor * square.value) ** 2
+                up += ((square.dof / low - 1.0) * factor * square.value) ** 2
+        ends = (self.value, self.value - math.sqrt(down), self.value + math.sqrt(up))
+        return Interval(*(math.sqrt(max(0.0, end)) for end in ends))
+
+
+@dataclass(frozen=True, slots=True)
 class Components:
     """All pieces together; percent of the diameter. shape : (q, p, n).
 
-    per_kelvin : what an error changes by with a kelvin, and its standard deviation; None where temperatures did not
-    differ while operator and piece stayed the same. Errors are then those at the mean temperature.
+    runs : of the mean errors of runs of one operator, where a run shows all pieces and what it is off they share;
+    None where each run shows one. residual : within operator and piece, beyond that. per_kelvin : what an error changes
+    by with a kelvin, and its standard deviation; None where temperatures did not differ while operator and piece stayed
+    the same. Errors are then those at the mean temperature.
     """
 
     shape: tuple[int, int, int]
@@ -123,65 +157,101 @@ class Components:
     pieces: MeanSquare
     operators: MeanSquare
     both: MeanSquare
-    repeats: MeanSquare
+    runs: MeanSquare | None
+    residual: MeanSquare
     per_kelvin: tuple[float, float] | None
+
+    @property
+    def repeats(self) -> Variance:
+        """What readings of one operator and piece differ by."""
+        if self.runs is None:
+            return Variance(((1.0, self.residual),))
+        q = self.shape[0]
+        return Variance(((1.0 / q, self.runs), (1.0 - 1.0 / q, self.residual)))
+
+    @property
+    def total(self) -> Variance:
+        """What readings of any operator differ by."""
+        q, _, n = self.shape
+        between = ((1 / (q * n), self.operators), ((q - 1) / (q * n), self.both))
+        return Variance((*between, *self.repeats.times((n - 1) / n).terms))
+
+    @property
+    def of_mean(self) -> Variance:
+        """Of the mean of all readings, these pieces and operators given."""
+        return Variance(((1.0 / math.prod(self.shape), self.runs or self.residual),))
+
+    @property
+    def of_operators(self) -> Variance:
+        """What operators differ by, beyond what their runs and the pieces make them."""
+        q, _, n = self.shape
+        below = self.both if q > 1 else self.residual
+        shared = () if self.runs is None else ((-1.0, self.runs), (1.0, self.residual))
+        return Variance(((1.0, self.operators), (-1.0, below), *shared)).times(1.0 / (q * n))
+
+    @property
+    def of_both(self) -> Variance:
+        """What an operator reads of one piece and not of the others."""
+        return Variance(((1.0, self.both), (-1.0, self.residual))).times(1.0 / self.shape[2])
+
+    @property
+    def of_pieces(self) -> Variance:
+        """What pieces differ by in their mean errors."""
+        _, p, n = self.shape
+        return Variance(((1.0, self.pieces), (-1.0, self.both))).times(1.0 / (p * n))
 
     def bias(self, reference_u: float = 0.0) -> Interval:
         """The mean error of these pieces as these operators measure them: what others would add is in the
         reproducibility. reference_u : standard uncertainty that the pieces' diameters have in common, percent."""
-        q, p, n = self.shape
-        own = self.repeats.value / (p * q * n)
-        u = math.hypot(math.sqrt(own), reference_u)
-        half = _t(math.inf if own == 0.0 else self.repeats.dof * (u * u / own) ** 2) * u
+        own = self.of_mean
+        u = math.hypot(math.sqrt(own.value), reference_u)
+        half = _t(math.inf if own.value == 0.0 else own.dof * (u * u / own.value) ** 2) * u
         return Interval(self.mean, self.mean - half, self.mean + half)
 
     def repeatability(self) -> Interval:
         """s_r, of one operator with one piece."""
-        dof, s = self.repeats.dof, math.sqrt(self.repeats.value)
-        low, high = (s * math.sqrt(dof / float(stats.chi2.ppf(part, dof))) for part in _ends()[::-1])
-        return Interval(s, low, high)
+        return self.repeats.interval()
 
     def reproducibility(self) -> Interval:
-        """s_R, of any operator: what repeats, operators, and operators with pieces differ by."""
-        q, _, n = self.shape
-        parts = ((1 / (q * n), self.operators), ((q - 1) / (q * n), self.both), ((n - 1) / n, self.repeats))
-        total = sum(c * one.value for c, one in parts)
-        down = up = 0.0
-        for c, one in parts:
-            if one.dof == 0:
-                continue
-            chi_low, chi_high = (float(stats.chi2.ppf(part, one.dof)) for part in _ends())
-            down += ((1.0 - one.dof / chi_high) * c * one.value) ** 2
-            up += ((one.dof / chi_low - 1.0) * c * one.value) ** 2
-        low, high = total - math.sqrt(down), total + math.sqrt(up)
-        total = max(total, self.repeats.value)  # E691: operators who differ by less than their repeats do not differ
-        return Interval(math.sqrt(total), math.sqrt(max(0.0, low)), math.sqrt(max(high, total)))
+        """s_R, of any operator; E691: operators who differ by less than their repeats do not differ."""
+        made, least = self.total.interval(), math.sqrt(self.repeats.value)
+        return Interval(max(made.value, least), made.low, max(made.high, least))
 
 
-def components(errors: FloatArray, kelvin: FloatArray | None = None) -> Components:
+def components(errors: FloatArray, kelvin: FloatArray | None = None, *, shared: bool = False) -> Components:
     """Mean squares of a balanced study.
 
     errors : (q, p, n) percent of the diameter. kelvin : (q, p, n), each run's temperature on any scale of kelvins; NaN
-    or None: not measured. Raises ValueError where operators or repeats are fewer than 2.
+    or None: not measured. shared : repeat i of an operator is one run through all pieces. Raises ValueError where
+    operators or repeats are fewer than 2.
     """
     q, p, n = errors.shape
     if p < 2 or n < 2:
         raise ValueError(f"{p} operators with {n} repeats each, expected 2 of both or more")
+    shared = shared and q > 1
     slope, errors = _levelled(errors, kelvin)
+    lost = int(slope is not None)  # a degree of freedom, to the slope
     mean = float(errors.mean())
     cell, by_piece, by_operator = errors.mean(axis=2), errors.mean(axis=(1, 2)), errors.mean(axis=(0, 2))
-    within = float(np.sum((errors - cell[:, :, None]) ** 2))
-    dof = q * p * (n - 1) - (slope is not None)
+    away = errors - cell[:, :, None]
+    within, dof, runs = float(np.sum(away**2)), q * p * (n - 1), None
+    if shared:
+        between = q * float(np.sum(away.mean(axis=0) ** 2))
+        runs = MeanSquare(between / max(1, p * (n - 1) - lost), max(1, p * (n - 1) - lost))
+        residual = MeanSquare((within - between) / ((q - 1) * p * (n - 1)), (q - 1) * p * (n - 1))
+    else:
+        residual = MeanSquare(within / (dof - lost), dof - lost)
     both = n * float(np.sum((cell - by_piece[:, None] - by_operator[None, :] + mean) ** 2))
     if slope is not None:
-        slope = (slope[0], math.sqrt(within / dof) * slope[1])
+        slope = (slope[0], math.sqrt((runs or residual).value) * slope[1])
     return Components(
         (q, p, n),
         mean,
         MeanSquare(p * n * float(np.sum((by_piece - mean) ** 2)) / max(1, q - 1), q - 1),
         MeanSquare(q * n * float(np.sum((by_operator - mean) ** 2)) / (p - 1), p - 1),
         MeanSquare(both / max(1, (p - 1) * (q - 1)), (p - 1) * (q - 1)),
-        MeanSquare(within / dof, dof),
+        runs,
+        residual,
         slope,
     )
 
@@ -192,7 +262,7 @@ def _levelled(errors: FloatArray, kelvin: FloatArray | None) -> tuple[tuple[floa
     if kelvin is None or not np.isfinite(kelvin).all():
         return None, errors
     away = kelvin - kelvin.mean(axis=2, keepdims=True)
-    if float(np.abs(away).max()) < FORGETS_K:
+    if float(np.abs(away).max()) < SAME_K:
         return None, errors
     squares = float(np.sum(away**2))
     slope = float(np.sum(away * errors)) / squares

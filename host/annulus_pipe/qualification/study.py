@@ -25,7 +25,7 @@ from annulus_pipe.qualification.certificate import (
     ProfilerForm,
 )
 from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
-from annulus_pipe.qualification.precision import Components, MeanSquare, components, precision
+from annulus_pipe.qualification.precision import Components, Variance, components, precision
 from annulus_pipe.vocabulary import AnnulusError
 
 SIGNIFICANCE = 0.025  # of the F test of `compared`: so many good heads it refuses; guarded by test_certificate.py
@@ -81,7 +81,7 @@ class CertificateCheck:
 def certified(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Conditions, issued: date) -> Certificate:
     """The certificate of a whole study, not yet signed. readings : of every run and piece of the plan, once."""
     errors, kelvin = _cube(plan, readings)
-    parts = components(errors, kelvin)
+    parts = components(errors, kelvin, shared=plan.one_pull)
     slope = parts.per_kelvin
     rows = _contributions(plan, parts, kelvin)
     drift = max((one.drift_percent for one in readings), default=0.0)
@@ -101,7 +101,7 @@ def certified(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Con
         worst=float(np.abs(errors).max()),
         worst_direction=max(one.error_direction for one in readings),
         per_kelvin=slope,
-        repeat_dof=parts.repeats.dof,
+        repeat_dof=float(parts.repeats.dof),
     )
     return Certificate(
         plan.title,
@@ -170,26 +170,21 @@ def _reference_u(plan: StudyPlan) -> float:
 def _contributions(plan: StudyPlan, parts: Components, celsius: FloatArray) -> tuple[Contribution, ...]:
     """What the error of one diameter, read by any operator, is made of."""
     q, p, n = parts.shape
-    below = parts.both if q > 1 else parts.repeats
     rows = [
-        _type_a("repeats", parts.repeats, 1.0, f"E691: s_r of {q * p} cells of {n}"),
-        _difference(
+        _type_a("repeats", parts.repeats, f"E691: s_r of {q * p} cells of {n}"),
+        _type_a(
             "operators",
-            (parts.operators, below),
-            q * n,
-            1.0 + 1.0 / p,
+            parts.of_operators.times(1.0 + 1.0 / p),
             f"analysis of variance, {p} operators; another one against their mean",
         ),
     ]
     if q > 1:
         rows += [
-            _difference("operator with piece", (parts.both, parts.repeats), n, 1.0, "analysis of variance"),
-            _difference(
-                "pieces differ", (parts.pieces, parts.both), p * n, 1.0 + 1.0 / q, f"analysis of variance, {q} pieces"
-            ),
+            _type_a("operator with piece", parts.of_both, "analysis of variance"),
+            _type_a("pieces differ", parts.of_pieces.times(1.0 + 1.0 / q), f"analysis of variance, {q} pieces"),
         ]
     rows += [
-        _type_a("how well the bias is known", parts.repeats, 1.0 / (p * q * n), "standard deviation of the mean"),
+        _type_a("how well the bias is known", parts.of_mean, "standard deviation of the mean"),
         Contribution("reference pieces", _reference_u(plan), math.inf, "B", _measured(plan)),
     ]
     if parts.per_kelvin is not None:
@@ -198,7 +193,7 @@ def _contributions(plan: StudyPlan, parts: Components, celsius: FloatArray) -> t
             Contribution(
                 "temperature within the range",
                 math.hypot(*parts.per_kelvin) * half / math.sqrt(3.0),
-                parts.repeats.dof,
+                parts.of_mean.dof,
                 "A",
                 f"slope of the study over {2 * half:.3g} K, rectangular",
             )
@@ -206,20 +201,11 @@ def _contributions(plan: StudyPlan, parts: Components, celsius: FloatArray) -> t
     return tuple(rows)
 
 
-def _type_a(name: str, square: MeanSquare, part: float, source: str) -> Contribution:
-    return Contribution(name, math.sqrt(square.value * part), square.dof, "A", source)
-
-
-def _difference(
-    name: str, squares: tuple[MeanSquare, MeanSquare], times: int, factor: float, source: str
-) -> Contribution:
-    """What the greater mean square has beyond the less; its degrees of freedom are Satterthwaite's."""
-    more, less = squares
-    beyond = more.value - less.value
-    if beyond <= 0.0:
+def _type_a(name: str, variance: Variance, source: str) -> Contribution:
+    """Of a difference of mean squares that happens to be below 0 there is nothing."""
+    if variance.value <= 0.0:
         return Contribution(name, 0.0, math.inf, "A", source)
-    dof = beyond**2 / (more.value**2 / more.dof + (less.value**2 / less.dof if less.dof else 0.0))
-    return Contribution(name, math.sqrt(factor * beyond / times), dof, "A", source)
+    return Contribution(name, math.sqrt(variance.value), variance.dof, "A", source)
 
 
 def _measured(plan: StudyPlan) -> str:
@@ -312,7 +298,7 @@ def compared(
     drifting : the scans have no reference section, so that U is the one with drift.
     """
     errors, celsius = _cube(plan, readings)
-    parts, accuracy = components(errors, celsius), certificate.accuracy
+    parts, accuracy = components(errors, celsius, shared=plan.one_pull), certificate.accuracy
     reasons, upheld = list[str](), True
     s = math.sqrt(parts.repeats.value)
     ratio = parts.repeats.value / accuracy.s_r.value**2 if accuracy.s_r.value > 0.0 else math.inf
@@ -332,8 +318,15 @@ def compared(
     return CertificateCheck(upheld, tuple(reasons))
 
 
-def power(plan: StudyPlan) -> float:
-    """In how many of such studies a head that repeats TWICE as badly is refused by the first test of `compared`."""
-    dof = plan.degrees
+def power(plan: StudyPlan) -> tuple[float, float]:
+    """In how many of such studies a head that repeats TWICE as badly is refused by the first test of `compared`: where
+    pieces of one run err alike, and where each errs by itself. Of runs that show one piece the two are one."""
+    runs = len(plan.operators) * (plan.repeats - 1)
+    apart = runs * len(plan.pieces)
+    alike, each = (_power(dof) for dof in (runs if plan.one_pull else apart, apart))
+    return alike, each
+
+
+def _power(dof: int) -> float:
     most = float(stats.f.ppf(1.0 - SIGNIFICANCE, dof, dof))
     return float(stats.f.sf(most / TWICE**2, dof, dof))

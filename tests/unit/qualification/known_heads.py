@@ -17,34 +17,50 @@ from annulus_pipe.qualification.study import Conditions, GaugeReading, certified
 DAY = date(2026, 11, 29)
 CONDITIONS = Conditions("ab12cd34ef567890", "1.4.0 abc", "0.1.0", "annulus calibrate camera, rms 0.2 px", 1700.0)
 PIECES = tuple(ReferencePiece(f"sleeve {n}", d, 0.02) for n, d in (("A", 151.8), ("B", 152.4), ("C", 153.2)))
-PLAN = StudyPlan("three sleeves", "7", "laboratory", ("Ames", "Bose"), 6, PIECES, one_pull=True)
+PLAN = StudyPlan("three sleeves", "7", "laboratory", ("Ames", "Bose"), 6, PIECES)
+PULL = replace(PLAN, one_pull=True)
 
 
 class World:
     """A head whose errors are known: standard deviations in percent of the diameter."""
 
-    def __init__(self, bias: float, operator: float, both: float, repeat: float, slope: float = 0.0) -> None:
+    def __init__(
+        self, bias: float, operator: float, both: float, repeat: float, slope: float = 0.0, run: float = 0.0
+    ) -> None:
         self.bias, self.operator, self.both, self.repeat, self.slope = bias, operator, both, repeat, slope
+        self.run = run
+
+    @property
+    def s_r(self) -> float:
+        return math.hypot(self.repeat, self.run)
 
     @property
     def s_R(self) -> float:
-        return math.sqrt(self.operator**2 + self.both**2 + self.repeat**2)
+        return math.sqrt(self.operator**2 + self.both**2 + self.s_r**2)
+
+    def times(self, factor: float) -> "World":
+        """As many times as bad."""
+        every = (self.bias, self.operator, self.both, self.repeat, self.slope, self.run)
+        return World(*(factor * one for one in every))
 
     def study(self, rng: np.random.Generator, plan: StudyPlan) -> tuple[FloatArray, FloatArray, float]:
         """Errors (q, p, n), temperatures, and the true mean error of these pieces and operators."""
         q, p, n = len(plan.pieces), len(plan.operators), plan.repeats
         gauge = rng.normal(0.0, 50.0 * plan.pieces[0].k2_mm / plan.pieces[0].diameter_mm)
         operator, both = rng.normal(0.0, self.operator, p), rng.normal(0.0, self.both, (q, p))
-        warm = rng.uniform(12.0, 22.0, (q, p, n))
+        warm, run = rng.uniform(12.0, 22.0, (q, p, n)), rng.normal(0.0, self.run, (q, p, n))
+        if plan.one_pull:
+            warm, run = np.broadcast_to(warm[0], warm.shape), np.broadcast_to(run[0], run.shape)
         true = self.bias + operator[None, :, None] + both[:, :, None] + self.slope * (warm - 17.0)
         mean = self.bias + float(operator.mean()) + float(both.mean()) + self.slope * (float(warm.mean()) - 17.0)
-        return true + gauge + rng.normal(0.0, self.repeat, (q, p, n)), warm, mean
+        return true + run + gauge + rng.normal(0.0, self.repeat, (q, p, n)), warm, mean
 
 
 WORLDS = {
     "repeats": World(0.05, 0.0, 0.0, 0.03),
     "operators": World(-0.08, 0.03, 0.0, 0.03),
     "warm": World(0.02, 0.02, 0.02, 0.03, 0.004),
+    "runs": World(0.02, 0.01, 0.0, 0.02, 0.002, run=0.03),
 }
 
 
