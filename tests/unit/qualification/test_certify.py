@@ -113,8 +113,6 @@ def test_from_plan_to_certificate_and_check(tmp_path: Path) -> None:
     study = Study(tmp_path)
     planned = study.invoke("plan", study.plan, "-o", tmp_path / "more")
     assert "as pieces of one pull err alike or not; 95 need more repeats" in planned
-        "plan", study.plan, "-o", tmp_path / "more"
-    )
     certificate = read_certificate(study.issue())
     accuracy, scope = certificate.accuracy, certificate.scope
     assert accuracy.bias.holds(BIAS_PERCENT) and accuracy.s_r.holds(REPEAT_PERCENT)
