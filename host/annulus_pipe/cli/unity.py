@@ -86,7 +86,7 @@ def _claim(tolerance_mm: float | None, certainty: float | None) -> "ToolClaim":
 
 def _results(folder: Path) -> "SurveyResults":
     """Raises AnnulusError, one line, for a folder that is none of a pipe."""
-    from annulus_pipe.qualification.matching import UnseenWall
+    from annulus_pipe.qualification.trials import Pull, UnseenPlace
     from annulus_pipe.qualification.unity import SurveyResults
     from annulus_pipe.storage import results_folder as read
 
@@ -99,19 +99,12 @@ def _results(folder: Path) -> "SurveyResults":
             raise ValueError("no diameter was measured")
         listed = [_place(one, f"D{i}") for i, one in enumerate(read.places(summary, "defects"), 1)]
         unsure = [_place(one, f"?{i}", True) for i, one in enumerate(read.places(summary, "undecided"), 1)]
-        unseen = [UnseenWall(one.z_from_mm, one.z_to_mm, one.clock_deg, one.arc_deg) for one in read.unseen(summary)]
+        holes = [UnseenPlace(one.z_from_mm, one.z_to_mm, one.clock_deg, one.arc_deg) for one in read.unseen(summary)]
     except (OSError, ValueError) as error:
         raise read.unreadable(folder / read.SUMMARY, error) from None
-    return SurveyResults(
-        str(folder),
-        (*listed, *unsure),
-        tuple(unseen),
-        first,
-        last,
-        diameter / 2,
-        figures.get("limits.depth_mm", 0.0),
-        _wall_mm(summary.get("job"), diameter),
-    )
+    limit = figures.get("limits.depth_mm", math.nan)
+    pull = Pull(str(folder), "", first, last, diameter / 2, limit, holes=tuple(holes))
+    return SurveyResults(pull, (*listed, *unsure), _wall_mm(summary.get("job"), diameter))
 
 
 def _place(one: "ListedPlace", name: str, undecided: bool = False) -> "SurveyPlace":

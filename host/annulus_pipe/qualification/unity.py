@@ -7,7 +7,7 @@ A dig states k = 2, about 95 %; at another certainty its tolerance is that times
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -17,8 +17,9 @@ from annulus_pipe.numeric.late import special
 from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits_k2, quoted
 from annulus_pipe.qualification.digs import Dig, DugKind
 from annulus_pipe.qualification.line import LEAST, StraightLine, fit_line
-from annulus_pipe.qualification.matching import SLACK_MM, Matching, SurveyPlace, UnseenWall, match
+from annulus_pipe.qualification.matching import Matching, SurveyPlace, as_truth, match
 from annulus_pipe.qualification.sizing import SizedPair, Sizing, size_errors
+from annulus_pipe.qualification.trials import GATE_MM, HIDDEN_PART, Pull, hidden_part
 from annulus_pipe.qualification.validation import CONFIDENCE, ClaimJudgement, Proportion, judge_claim, proportion
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -29,6 +30,9 @@ PRIOR_SLOPE = 0.5
 SCALES = {25.4: "inches", 1000.0: "metres", 10.0: "centimetres", 304.8: "feet"}  # mm each, that a column may be in
 WALL_SLACK = 1.25  # of a nominal wall: tolerances of ISO 11922-1 and a nominal size together are less
 SCALE_OFF = 0.2  # part by which depths in another unit are off that ratio: their own errors
+
+# No proportion is made of what was missed: where a survey says nothing, nobody digs.
+CHOSEN = "Places that were dug because they are listed say nothing of what is missed."
 
 
 class Dug(StrEnum):
@@ -45,16 +49,11 @@ class Dug(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SurveyResults:
-    """What RESULTS says, as far as digs are held against it. Lengths mm; NaN: not stated."""
+    """A survey and what it lists. wall_mm : nominal, NaN where nobody stated it."""
 
-    source: str
+    pull: Pull
     places: tuple[SurveyPlace, ...]
-    unseen: tuple[UnseenWall, ...]
-    first_mm: float
-    last_mm: float
-    radius_mm: float
-    listed_from_mm: float  # depth
-    wall_mm: float
+    wall_mm: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ class NextDig:
         at = f"{place.kind} at {quoted(place.z_mm, DISTANCE)}, clock {clock_face(place.clock_deg)}"
         why = f"no {place.kind} was verified yet; " if self.new_kind else ""
         depth = quoted(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=place.at_least)
-        return f"{place.name}, {at}, {depth} ({why}bias and slope would be known to {self.remains:.0%} of now)"
+        return f"{place.name}, {at}, {depth} ({why}the region of bias and slope would shrink to {self.remains:.0%})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +125,13 @@ class Unity:
     judgement: ClaimJudgement
     sizing: Sizing
     line: StraightLine | None
-    detected: Proportion
     confirmed: Proportion
     identified: Proportion
     next_digs: tuple[NextDig, ...]
     remarks: tuple[str, ...]
+
+    def count(self, outcome: Dug) -> int:
+        return sum(row.outcome is outcome for row in self.rows)
 
     @property
     def claim_statement(self) -> str:
@@ -156,15 +157,14 @@ class Unity:
     def statement(self) -> list[str]:
         """What is said of it, most important first."""
         lines = [self.judgement.statement(), self.claim_statement]
-        for found, what in (
-            (self.detected, "dug defects were listed"),
-            (self.confirmed, "listed places that were dug are there"),
-        ):
-            if found.n:
-                lines.append(
-                    f"{found.hits} of {found.n} {what}: {found.lower:.0%} to {found.upper:.0%} of all, "
-                    f"{found.confidence:.0%} confidence."
-                )
+        if self.confirmed.n:
+            there = self.confirmed
+            lines.append(
+                f"{there.hits} of {there.n} listed places that were dug are there: {there.lower:.0%} to "
+                f"{there.upper:.0%} of all, {there.confidence:.0%} confidence."
+            )
+        missed = self.count(Dug.MISSED)
+        lines.append(f"{missed} of {missed + self.count(Dug.FOUND)} dug defects not listed. {CHOSEN}")
         lines += [self.line_statement, *self.sizing.statement()]
         if self.next_digs:
             lines.append(f"Next dig: {self.next_digs[0].statement()}.")
@@ -186,21 +186,18 @@ def study(
     _require_here(results, digs, name, bound_mm)
     _require_depths(results, digs, name)
     near = _near(results, digs, bound_mm)
-    try:
-        matching = match(digs, near, results.radius_mm, bound_mm)
-    except ValueError as error:
-        raise AnnulusError(f"{name}: {error}.") from None
+    matching = match(digs, near, results.pull.bore_radius_mm, bound_mm)
     if not matching.by_dig:
         _require_units_along(results, digs, name, bound_mm)
     rows = tuple(_row(i, dig, near, matching, results, claim) for i, dig in enumerate(digs))
     _require_units_of_depth(rows, name)
     decided = [row for row in rows if row.within is not None]
-    counts = {which: sum(row.outcome is which for row in rows) for which in Dug}
     found = [row for row in rows if row.outcome is Dug.FOUND]
+    false_calls = sum(row.outcome is Dug.FALSE_CALL for row in rows)
     named = [row for row in found if row.same_kind is not None]
     sized = [row for row in found if row.place is not None and row.same_kind is not False]
     return Unity(
-        results.source,
+        results.pull.name,
         name,
         claim,
         matching.shift_mm,
@@ -209,11 +206,10 @@ def study(
         judge_claim(sum(bool(row.within) for row in decided), len(decided), claim.certainty, confidence),
         size_errors(_pairs(sized), confidence=confidence),
         _line(sized, confidence),
-        proportion(counts[Dug.FOUND], counts[Dug.FOUND] + counts[Dug.MISSED], confidence),
-        proportion(counts[Dug.FOUND], counts[Dug.FOUND] + counts[Dug.FALSE_CALL], confidence),
+        proportion(len(found), len(found) + false_calls, confidence),
         proportion(sum(bool(row.same_kind) for row in named), len(named), confidence),
         _next_digs(results, rows, claim),
-        (*matching.remarks, *_remarks(rows, counts)),
+        (*matching.remarks, *_remarks(rows)),
     )
 
 
@@ -223,7 +219,7 @@ def _near(results: SurveyResults, digs: Sequence[Dig], bound_mm: float) -> list[
     length = max((one.length_mm for one in digs if math.isfinite(one.length_mm)), default=0.0)
     out = []
     for place in results.places:
-        reach = bound_mm + SLACK_MM + max(place.length_mm, length) / 2
+        reach = bound_mm + GATE_MM + max(place.length_mm, length) / 2
         first = int(np.searchsorted(z, place.z_mm - reach))
         if first < len(z) and z[first] <= place.z_mm + reach:
             out.append(place)
@@ -236,9 +232,7 @@ def _row(
     place = near[matching.by_dig[i]] if i in matching.by_dig else None
     sound = dig.kind is DugKind.SOUND
     if place is None:
-        return DugPlace(
-            dig, _unlisted(dig, dig.z_mm + matching.shift_mm, results), None, None, math.nan, math.nan, None
-        )
+        return DugPlace(dig, _unlisted(dig, matching.shift_mm, results.pull), None, None, math.nan, math.nan, None)
     if place.undecided:
         return DugPlace(dig, Dug.UNDECIDED, place, None, math.nan, math.nan, None)
     if sound:
@@ -255,13 +249,13 @@ def _row(
     return DugPlace(dig, Dug.FOUND, place, same, error, together, within)
 
 
-def _unlisted(dig: Dig, z_mm: float, results: SurveyResults) -> Dug:
-    outside = not results.first_mm <= z_mm <= results.last_mm
-    if outside or any(one.covers(z_mm, dig.clock_deg) for one in results.unseen):
+def _unlisted(dig: Dig, shift_mm: float, pull: Pull) -> Dug:
+    truth = as_truth(dig, shift_mm)
+    if not pull.from_mm <= truth.z_mm <= pull.to_mm or hidden_part(truth, pull) > HIDDEN_PART:
         return Dug.NOT_SEEN
     if dig.kind is DugKind.SOUND:
         return Dug.SOUND
-    return Dug.SHALLOW if dig.depth_mm < results.listed_from_mm else Dug.MISSED
+    return Dug.SHALLOW if dig.depth_mm < pull.depth_limit_mm else Dug.MISSED
 
 
 def _pairs(rows: Sequence[DugPlace]) -> Iterator[SizedPair]:
@@ -326,9 +320,9 @@ def _or_zero(value: float) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-def _remarks(rows: Sequence[DugPlace], counts: Mapping[Dug, int]) -> Iterator[str]:
+def _remarks(rows: Sequence[DugPlace]) -> Iterator[str]:
     defects = [row for row in rows if row.dig.kind is not DugKind.SOUND]
-    if len(defects) > 1 and counts[Dug.MISSED] == len(defects):
+    if len(defects) > 1 and all(row.outcome is Dug.MISSED for row in defects):
         yield "no dug defect is listed where it was dug: another pipe, or another zero of the chainage?"
     without = sum(row.is_sized and math.isnan(row.dig.depth_u_mm) for row in rows)
     if without:
@@ -350,13 +344,13 @@ def _counted(count: int, what: str) -> str:
 
 def _require_here(results: SurveyResults, digs: Sequence[Dig], name: str, bound_mm: float) -> None:
     z = np.array([one.z_mm for one in digs])
-    reach = bound_mm + SLACK_MM
-    if ((z >= results.first_mm - reach) & (z <= results.last_mm + reach)).any():
+    reach = bound_mm + GATE_MM
+    if ((z >= results.pull.from_mm - reach) & (z <= results.pull.to_mm + reach)).any():
         return
     _require_units_along(results, digs, name, bound_mm)
     raise AnnulusError(
-        f"{name}: its digs lie at {z.min():g} to {z.max():g} mm, none of them in the {results.first_mm:g} to "
-        f"{results.last_mm:g} mm that {results.source} is of. Another pipe?"
+        f"{name}: its digs lie at {z.min():g} to {z.max():g} mm, none of them in the {results.pull.from_mm:g} to "
+        f"{results.pull.to_mm:g} mm that {results.pull.name} is of. Another pipe?"
     )
 
 
@@ -366,9 +360,9 @@ def _require_units_along(results: SurveyResults, digs: Sequence[Dig], name: str,
     for factor, unit in SCALES.items():
         scaled = [replace(one, z_mm=one.z_mm * factor) for one in real]
         near = _near(results, scaled, 0.0)
-        if real and len(match(scaled, near, results.radius_mm, 0.0).by_dig) == len(real):
+        if real and len(match(scaled, near, results.pull.bore_radius_mm, 0.0).by_dig) == len(real):
             raise AnnulusError(
-                f"{name}: its digs lie where {results.source} lists places if z_mm is in {unit}, not mm."
+                f"{name}: its digs lie where {results.pull.name} lists places if z_mm is in {unit}, not mm."
             )
 
 
@@ -376,7 +370,7 @@ def _require_depths(results: SurveyResults, digs: Sequence[Dig], name: str) -> N
     walled = math.isfinite(results.wall_mm)
     for one in digs:
         loss = walled and one.kind in (DugKind.LOSS, DugKind.ANY)
-        most, what = (results.wall_mm, "wall") if loss else (results.radius_mm, "pipe's radius")
+        most, what = (results.wall_mm, "wall") if loss else (results.pull.bore_radius_mm, "pipe's radius")
         if one.depth_mm > most * (WALL_SLACK if loss else 1.0):
             raise AnnulusError(
                 f"{name}: line {one.line}: depth_mm is {one.depth_mm:g}, more than the {what} of {most:.3g} mm."

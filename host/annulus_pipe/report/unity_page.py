@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from annulus_pipe.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, digits_k2, quoted
-from annulus_pipe.qualification.unity import Dug, DugPlace, NextDig, Unity
+from annulus_pipe.qualification.unity import CHOSEN, Dug, DugPlace, NextDig, Unity
 from annulus_pipe.qualification.validation import Outcome, Proportion
 from annulus_pipe.report.names import BUMP_BLUE, FAINT, INK, LOSS_RED
 from annulus_pipe.report.paper import DPI, in_style, png
@@ -102,6 +102,7 @@ def unity_page(unity: Unity, picture: bytes, created: str) -> str:
         rows=[_cells(row) for row in unity.rows],
         next_digs=[_next_cells(one) for one in unity.next_digs],
         shift=_shift(unity),
+        chosen=CHOSEN,
         levels=judged.level,
     )
 
@@ -179,7 +180,8 @@ def _facts(unity: Unity) -> Iterator[tuple[str, str, str]]:
     judged = unity.judgement
     yield "Digs", str(len(unity.rows)), f"{sum(row.is_sized for row in unity.rows)} with a depth to compare"
     yield "Within tolerance", f"{judged.within} of {judged.n}", _interval(judged.proportion)
-    yield "Listed", f"{unity.detected.hits} of {unity.detected.n}", f"of the dug defects; {_interval(unity.detected)}"
+    missed = unity.count(Dug.MISSED)
+    yield "Not listed", f"{missed} of {missed + unity.count(Dug.FOUND)}", "dug defects; no measure of what is missed"
     there = unity.confirmed
     yield "Confirmed", f"{there.hits} of {there.n}", f"of the listed places that were dug; {_interval(there)}"
     yield "To accept", "-" if not judged.needed else str(judged.needed), "more digs, all within"

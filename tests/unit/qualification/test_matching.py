@@ -1,13 +1,12 @@
 """Which dug place is which listed one."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from annulus_pipe.qualification.digs import Dig, DugKind
-from annulus_pipe.qualification.matching import PAIRS_MAX, SurveyPlace, match, turned_by
+from annulus_pipe.qualification.matching import SurveyPlace, match
 
 RADIUS_MM = 50.0
 
@@ -80,7 +79,6 @@ def test_places_are_matched_one_to_one_and_the_nearer_ones() -> None:
 
 def test_the_dial_has_no_seam() -> None:
     assert match([dig(100.0, 355.0)], [place(100.0, 4.0)], RADIUS_MM, 0.0).by_dig == {0: 0}
-    assert turned_by(355.0, 4.0) == pytest.approx(9.0)
 
 
 def test_the_other_side_of_the_pipe_is_another_place() -> None:
@@ -101,9 +99,3 @@ def test_sound_wall_is_no_ground_for_a_shift() -> None:
 
 def test_no_place_is_no_match() -> None:
     assert match([dig(100.0, 0.0)], [], RADIUS_MM, 300.0).by_dig == {}
-
-
-def test_more_pairs_than_can_be_laid_out_are_refused() -> None:
-    digs = [dig(float(i), 0.0) for i in range(500)]
-    with pytest.raises(ValueError, match="expected at most"):
-        match(digs, [place(0.0, 0.0)] * math.ceil(PAIRS_MAX / 499), RADIUS_MM, 300.0)

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,8 @@ from hypothesis import strategies as st
 from annulus_pipe.numeric.late import stats
 from annulus_pipe.qualification import unity_file
 from annulus_pipe.qualification.digs import Dig, DugKind
-from annulus_pipe.qualification.matching import SurveyPlace, UnseenWall
+from annulus_pipe.qualification.matching import SurveyPlace
+from annulus_pipe.qualification.trials import Pull, UnseenPlace
 from annulus_pipe.qualification.unity import Dug, SurveyResults, ToolClaim, Unity, study
 from annulus_pipe.qualification.validation import Outcome
 from annulus_pipe.vocabulary import AnnulusError
@@ -30,9 +30,9 @@ def place(i: int, depth: float, k2: float = 0.2, kind: str = "loss", **more: boo
     )
 
 
-def survey(places: Sequence[SurveyPlace], unseen: Sequence[UnseenWall] = (), wall_mm: float = NAN) -> SurveyResults:
-    last = max((one.z_mm for one in places), default=0.0) + 500.0
-    return SurveyResults("results", tuple(places), tuple(unseen), 0.0, last, 50.0, 0.2, wall_mm)
+def survey(places: Sequence[SurveyPlace], holes: Sequence[UnseenPlace] = (), wall_mm: float = NAN) -> SurveyResults:
+    last = max((one.z_mm for one in places), default=2500.0) + 500.0
+    return SurveyResults(Pull("results", "", 0.0, last, 50.0, 0.2, holes=tuple(holes)), tuple(places), wall_mm)
 
 
 def dig(i: float, depth: float, u: float = 0.1, kind: DugKind = DugKind.LOSS, line: int = 2) -> Dig:
@@ -58,7 +58,7 @@ def test_every_dug_place_has_one_outcome() -> None:
         dig(6, 0.9),
         dig(6.5, 0.1),
     ]
-    found = study(survey(places, [UnseenWall(2900.0, 3100.0, 80.0, 40.0)]), digs, "digs.csv", CLAIM, 0.0)
+    found = study(survey(places, [UnseenPlace(2900.0, 3100.0, 80.0, 40.0)]), digs, "digs.csv", CLAIM, 0.0)
     assert outcomes(found) == [
         Dug.FOUND,
         Dug.FALSE_CALL,
@@ -68,14 +68,14 @@ def test_every_dug_place_has_one_outcome() -> None:
         Dug.NOT_SEEN,
         Dug.SHALLOW,
     ]
-    assert (found.detected.hits, found.detected.n) == (1, 2)
+    assert (found.count(Dug.FOUND), found.count(Dug.MISSED)) == (1, 1)
     assert (found.confirmed.hits, found.confirmed.n) == (1, 2)
     assert [one.place.name for one in found.next_digs] == ["D7"]
 
 
 def test_a_dig_beyond_the_scan_says_nothing_of_it() -> None:
     found = held([place(1, 1.0)], [dig(1, 1.0), dig(2.15, 2.0)])
-    assert outcomes(found) == [Dug.FOUND, Dug.NOT_SEEN] and found.detected.n == 1
+    assert outcomes(found) == [Dug.FOUND, Dug.NOT_SEEN]
 
 
 def test_both_may_be_off_together() -> None:
@@ -123,9 +123,7 @@ def test_nothing_found_asks_whether_it_is_the_same_pipe() -> None:
 
 
 def test_a_survey_that_lists_nothing_can_be_wrong_by_what_it_misses_alone() -> None:
-    found = study(
-        replace(survey([]), last_mm=3000.0), [dig(1, 1.0), dig(2, NAN, NAN, DugKind.SOUND)], "digs.csv", OWN, 0.0
-    )
+    found = study(survey([]), [dig(1, 1.0), dig(2, NAN, NAN, DugKind.SOUND)], "digs.csv", OWN, 0.0)
     assert outcomes(found) == [Dug.MISSED, Dug.SOUND] and not found.next_digs
 
 

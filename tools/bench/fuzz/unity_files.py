@@ -1,12 +1,12 @@
 """A table of digs held against a survey, and the study's file, made wrong."""
 
-import math
 from functools import cache
 from pathlib import Path
 from random import Random
 
 from annulus_pipe.qualification.digs import COLUMNS, read_digs
-from annulus_pipe.qualification.matching import SurveyPlace, UnseenWall
+from annulus_pipe.qualification.matching import SurveyPlace
+from annulus_pipe.qualification.trials import Pull, UnseenPlace
 from annulus_pipe.qualification.unity import SurveyResults, ToolClaim, Unity, study
 from annulus_pipe.qualification.unity_file import FILE, read_unity, to_dict
 from tools.bench.fuzz.mutate import HOSTILE, as_json, of_bytes, of_rows, of_values
@@ -19,7 +19,8 @@ PLACES = tuple(
     SurveyPlace(f"D{i}", "loss", 400.0 * i, 40.0 * i, 20.0, 30.0, 0.5 * i + 0.05, 0.1, at_least=i == 3)
     for i in range(1, 10)
 )
-SURVEY = SurveyResults("results", PLACES, (UnseenWall(900.0, 950.0, 0.0, 90.0),), 0.0, 4000.0, 50.0, 0.2, math.nan)
+HOLE = UnseenPlace(900.0, 950.0, 0.0, 90.0)
+SURVEY = SurveyResults(Pull("results", "", 0.0, 4000.0, 50.0, 0.2, holes=(HOLE,)), PLACES)
 CLAIM = ToolClaim(0.8, 0.2, "as claimed")
 
 
