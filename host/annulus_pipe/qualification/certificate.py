@@ -6,7 +6,7 @@ software, diameter and temperature are those it names: `standing` says so, and s
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
 from enum import StrEnum
@@ -15,7 +15,18 @@ from typing import Any, TypeVar
 
 from annulus_pipe.qualification.precision import LIMIT, Interval
 from annulus_pipe.qualification.signature import Signature, canonical
-from annulus_pipe.untrusted import mapping, number, parse_json, printable, read_file, shown, text, whole, within
+from annulus_pipe.untrusted import (
+    mapping,
+    number,
+    numbers,
+    parse_json,
+    printable,
+    read_file,
+    shown,
+    text,
+    whole,
+    within,
+)
 from annulus_pipe.vocabulary import AnnulusError
 
 FORMAT = "annulus-certificate/1"
@@ -320,21 +331,17 @@ def _rows(content: Mapping[str, Any], name: str, kind: type[Row]) -> list[Row]:
 
 def _row(section: Mapping[str, Any], what: str, kind: type[Row]) -> Row:
     """A record of texts, numbers, whole numbers and tuples of numbers, by its fields' types."""
-    values: dict[str, Any] = {}
-    for field in fields(kind):  # type: ignore[arg-type]
-        value, name = section.get(field.name), f"{what}.{field.name}"
-        if field.type is str or field.type == "str":
-            values[field.name] = _text(section, field.name, name)
-        elif field.type is int:
-            values[field.name] = whole(value, name, 0, 1 << 31)
-        elif field.type is float:
-            values[field.name] = number(value, name, 1e9)
-        elif value is None:
-            values[field.name] = None
-        elif isinstance(value, list):
-            values[field.name] = tuple(number(one, name, 1e9) for one in value[:ROWS_MAX])
-        else:
-            values[field.name] = number(value, name, 1e12)
+    readers: Mapping[Any, Callable[[Any, str], Any]] = {
+        str: lambda value, name: text(value, name, TEXT_MAX),
+        int: lambda value, name: whole(value, name, 0, 1 << 31),
+        float: lambda value, name: number(value, name, 1e9),
+        float | None: lambda value, name: None if value is None else number(value, name, 1e12),
+        tuple[float, ...]: lambda value, name: numbers(value, name, range(ROWS_MAX), 1e9),
+    }
+    values = {
+        field.name: readers[field.type](section.get(field.name), f"{what}.{field.name}")
+        for field in fields(kind)  # type: ignore[arg-type]
+    }
     return kind(**values)
 
 

@@ -41,6 +41,7 @@ from annulus_pipe.wings.tai.acoustic_file import AcousticRecord, load_acoustic, 
 from annulus_pipe.wings.tai.decode import load_template
 from annulus_pipe.wings.tai.design import load_transducer
 from tools.bench.fuzz.catalogue_files import catalogue_case, catalogue_read
+from tools.bench.fuzz.certificate_files import certificate_case, certificate_read
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
@@ -428,5 +429,6 @@ TARGETS: dict[str, Target] = {
     "joint": Target(joint_case, joint_read),
     "wall": Target(_wall_case, _wall_read),
     "catalogue": Target(catalogue_case, catalogue_read),
+    "certificate": Target(certificate_case, certificate_read, (ValueError,)),
     "unity": Target(unity_case, unity_read),
 }
