@@ -22,7 +22,9 @@ NARROW = 0.5
 @dataclass(frozen=True, slots=True)
 class StraightLine:
     """reported = intercept_mm + slope · true; each with the half-width of its interval (Student's t).
-    scatter : root of the reduced chi-square; 1 where the stated uncertainties explain the points."""
+    scatter : root of the reduced chi-square; 1 where the stated uncertainties explain the points.
+    is_unity : whether intercept 0 and slope 1 lie in their joint region: each may lie in its own, and both not.
+    """
 
     n: int
     confidence: float
@@ -31,11 +33,7 @@ class StraightLine:
     slope: float
     slope_k: float
     scatter: float
-
-    @property
-    def is_unity(self) -> bool:
-        """Whether intercept 0 and slope 1 lie within the intervals."""
-        return abs(self.intercept_mm) <= self.intercept_k_mm and abs(self.slope - 1.0) <= self.slope_k
+    is_unity: bool
 
 
 def fit_line(
@@ -69,7 +67,18 @@ def fit_line(
     slope_variance = 1.0 / float(np.sum(weight * (adjusted - middle) ** 2))
     intercept_variance = 1.0 / float(np.sum(weight)) + middle**2 * slope_variance
     scatter = math.sqrt(float(np.sum(weight * (y - intercept - slope * x) ** 2)) / (n - 2))
-    k = float(stats.t.ppf((1.0 + confidence) / 2.0, n - 2)) * max(scatter, 1.0)
+    scale = max(scatter, 1.0)
+    covariance = np.array([[intercept_variance, -middle * slope_variance], [-middle * slope_variance, slope_variance]])
+    apart = np.array([intercept, slope - 1.0])
+    distance = float(apart @ np.linalg.solve(covariance, apart)) / (2.0 * scale**2)
+    k = float(stats.t.ppf((1.0 + confidence) / 2.0, n - 2)) * scale
     return StraightLine(
-        n, confidence, intercept, k * math.sqrt(intercept_variance), slope, k * math.sqrt(slope_variance), scatter
+        n,
+        confidence,
+        intercept,
+        k * math.sqrt(intercept_variance),
+        slope,
+        k * math.sqrt(slope_variance),
+        scatter,
+        distance <= float(stats.f.ppf(confidence, 2, n - 2)),
     )

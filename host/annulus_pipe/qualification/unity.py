@@ -148,7 +148,7 @@ class Unity:
             why = "" if sized < LEAST else "; these depths lie too near each other"
             return f"Bias and slope cannot be told from {sized} depths, {LEAST} or more of different size needed{why}."
         line = self.line
-        agrees = "unity lies inside" if line.is_unity else "unity lies outside"
+        agrees = "unity lies in their joint region" if line.is_unity else "unity lies outside of their joint region"
         return (
             f"Reported = {quoted(line.intercept_mm, MEASURE, line.intercept_k_mm)} + ({line.slope:.3f} ± "
             f"{line.slope_k:.3f}) · dug, {line.confidence:.0%} confidence: {agrees}."

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -116,9 +116,18 @@ def _next(found: Mapping[str, Any]) -> NextDig:
 
 
 def _line(found: Mapping[str, Any]) -> StraightLine:
-    names = [one.name for one in fields(StraightLine) if one.name != "n"]
+    def value(name: str) -> float:
+        return number(found.get(name), f"line.{name}", MM_MAX)
+
     return StraightLine(
-        whole(found.get("n"), "n", 0, LIST_MAX), *(number(found.get(name), f"line.{name}", MM_MAX) for name in names)
+        whole(found.get("n"), "n", 0, LIST_MAX),
+        value("confidence"),
+        value("intercept_mm"),
+        value("intercept_k_mm"),
+        value("slope"),
+        value("slope_k"),
+        value("scatter"),
+        found.get("is_unity") is True,
     )
 
 

@@ -40,7 +40,7 @@ def draw_unity(unity: Unity) -> bytes:
         end = 1.12 * max([LEAST_MM, *(max(both) + _most_off(row) for row, both in drawn)])
         axes.plot((0, end), (0, end), color=INK, lw=1.2, zorder=2)
         handles = [Line2D([], [], color=INK, lw=1.2, label="unity: reported as dug")]
-        errors = figure.add_axes((0.575, 0.115, 0.41, 0.86))
+        errors = figure.add_axes((0.59, 0.115, 0.395, 0.86))
         errors.axhline(0.0, color=INK, lw=1.2, zorder=2)
         if math.isfinite(bound):
             for side in (-bound, bound):

@@ -231,8 +231,10 @@ def places(summary: Mapping[str, Any], name: str) -> tuple[ListedPlace, ...]:
 
 
 def unseen(summary: Mapping[str, Any]) -> tuple[UnseenStretch, ...]:
-    """What the scan did not see; none in a summary of before it was listed."""
-    found = summary.get("not_seen", [])
+    """What the scan did not see. Raises ValueError, also for a summary of before that was listed."""
+    found = summary.get("not_seen")
+    if found is None:
+        raise ValueError("it does not list what was not seen: an older annulus made it, reconstruct the scan again")
     if not isinstance(found, list) or len(found) > PLACES_MAX:
         raise ValueError(f"not_seen must be a list of at most {PLACES_MAX}")
     out = []

@@ -42,6 +42,16 @@ def test_the_true_line_lies_in_its_intervals_as_stated(studies: int, n: int, bia
     ]
     assert len(lines) == studies
     assert np.mean(held, axis=0).min() >= 0.93
+    if (bias, slope) == (0.0, 1.0):
+        assert np.mean([one.is_unity for one in lines]) >= 0.93
+
+
+def test_a_bias_that_hides_in_either_interval_shows_in_both_together() -> None:
+    """Deep points far from 0: intercept and slope trade against each other, and their region is narrow."""
+    x = np.linspace(2.0, 3.0, 12)
+    line = fit_line(x, x + 0.15, 0 * x + 0.02, 0 * x + 0.1, 0.95)
+    assert line is not None and not line.is_unity
+    assert line.intercept_k_mm > 0.15 and line.slope_k > 0.0
 
 
 def test_a_slope_is_not_flattened_by_what_the_digs_are_off() -> None:

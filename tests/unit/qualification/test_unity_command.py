@@ -104,17 +104,13 @@ def test_wrong_digs_get_one_line(results: Path, rows: str, words: tuple[str, ...
         ({"not_seen": [{"z_from_mm": "a"}]}, "not_seen[0].z_from_mm is 'a', expected a number"),
         ({"diameter_mm": {}}, "no diameter was measured"),
         ({"defects": {}}, "defects must be a list"),
+        ({"not_seen": None}, "does not list what was not seen"),
     ],
 )
 def test_results_that_are_none_get_one_line(results: Path, change: dict[str, Any], why: str) -> None:
     (results / "summary.json").write_text(json.dumps(SUMMARY | change))
     error = run(results, "A,loss,400,90,1.5,,,\n").exception
     assert isinstance(error, AnnulusError) and why in str(error) and "\n" not in str(error)
-
-
-def test_results_of_before_it_was_listed_what_was_not_seen_are_read(results: Path) -> None:
-    (results / "summary.json").write_text(json.dumps({k: SUMMARY[k] for k in SUMMARY if k not in ("not_seen", "job")}))
-    assert run(results, "A,loss,400,90,1.5,,,\n").exit_code == 0
 
 
 def test_a_file_in_the_folders_place_gets_one_line(results: Path) -> None:
