@@ -80,8 +80,8 @@ def _claim(tolerance_mm: float | None, certainty: float | None) -> "ToolClaim":
     from annulus_pipe.qualification.validation import CERTAINTY
 
     if tolerance_mm is None:
-        return ToolClaim(certainty or OWN_CERTAINTY, math.nan, "as the survey states")
-    return ToolClaim(certainty or CERTAINTY, tolerance_mm, "as claimed")
+        return ToolClaim(certainty or OWN_CERTAINTY, (), "as the survey states")
+    return ToolClaim(certainty or CERTAINTY, (("", tolerance_mm),), "as claimed")
 
 
 def _results(folder: Path) -> "SurveyResults":

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from annulus_pipe.numeric.late import special
-from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, digits_k2, quoted
+from annulus_pipe.numeric.rounding import DISTANCE, MEASURE, clock_face, off, quoted
 from annulus_pipe.qualification.digs import Dig, DugKind
 from annulus_pipe.qualification.line import LEAST, StraightLine, fit_line
 from annulus_pipe.qualification.matching import Matching, SurveyPlace, as_truth, match
@@ -58,23 +58,43 @@ class SurveyResults:
 
 @dataclass(frozen=True, slots=True)
 class ToolClaim:
-    """`certainty` of depths are within tolerance_mm; where that is NaN within each place's own k = 2. basis: who says
-    so, for people."""
+    """`certainty` of depths are within a tolerance. basis : who says so, for people.
+
+    tolerances : (kind, mm), of a kind "" for all of them; NaN where a kind's cannot be told. None of them: each place
+    within its own k = 2.
+    """
 
     certainty: float
-    tolerance_mm: float
+    tolerances: tuple[tuple[str, float], ...]
     basis: str
 
+    @property
+    def single_mm(self) -> float:
+        """NaN where there is not one for all."""
+        every = {mm for _, mm in self.tolerances}
+        return every.pop() if len(every) == 1 else math.nan
+
     def of(self, place: SurveyPlace) -> float:
-        return place.depth_k2_mm if math.isnan(self.tolerance_mm) else self.tolerance_mm
+        if not self.tolerances:
+            return place.depth_k2_mm
+        by_kind = dict(self.tolerances)
+        return by_kind.get(place.kind, by_kind.get("", math.nan))
 
     def of_dig(self, u_mm: float) -> float:
         """A dig's expanded uncertainty at the claim's certainty; 0 where it states none."""
         if math.isnan(u_mm):
             return 0.0
-        if math.isnan(self.tolerance_mm):
+        if not self.tolerances:
             return u_mm  # k = 2, as the places' own
         return u_mm / 2.0 * float(special.ndtri((1.0 + self.certainty) / 2.0))
+
+    def statement(self) -> str:
+        within = [
+            f"{f'{kind} ' if kind else ''}± {off(mm, MEASURE)}" if math.isfinite(mm) else f"{kind} not established"
+            for kind, mm in self.tolerances
+        ]
+        what = ", ".join(within) or "each its own k = 2"
+        return f"Claim: {self.certainty:.0%} of depths within {what} ({self.basis}), the dig's own uncertainty added."
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,14 +154,6 @@ class Unity:
         return sum(row.outcome is outcome for row in self.rows)
 
     @property
-    def claim_statement(self) -> str:
-        claim = self.claim
-        what = (
-            "each its own k = 2" if math.isnan(claim.tolerance_mm) else f"± {digits_k2(claim.tolerance_mm, MEASURE)} mm"
-        )
-        return f"Claim: {claim.certainty:.0%} of depths within {what} ({claim.basis}), the dig's own uncertainty added."
-
-    @property
     def line_statement(self) -> str:
         if self.line is None:
             sized = sum(row.is_sized for row in self.rows)
@@ -156,7 +168,7 @@ class Unity:
 
     def statement(self) -> list[str]:
         """What is said of it, most important first."""
-        lines = [self.judgement.statement(), self.claim_statement]
+        lines = [self.judgement.statement(), self.claim.statement()]
         if self.confirmed.n:
             there = self.confirmed
             lines.append(
@@ -285,7 +297,7 @@ def _next_digs(results: SurveyResults, rows: Sequence[DugPlace], claim: ToolClai
     dig_sigma = float(np.median(stated)) if stated else 0.0
     sized = [row.place for row in rows if row.is_sized and row.place is not None]
     open_ones = [one for one in results.places if not one.undecided and one.name not in dug]
-    scale = claim.tolerance_mm if math.isfinite(claim.tolerance_mm) else _typical_k2(results.places)
+    scale = max((mm for _, mm in claim.tolerances if mm > 0.0), default=_typical_k2(results.places))
     known = np.diag([1.0 / scale**2, 1.0 / PRIOR_SLOPE**2])
     for one in sized:
         known += _information(one, dig_sigma)
@@ -329,7 +341,7 @@ def _remarks(rows: Sequence[DugPlace]) -> Iterator[str]:
         yield f"{_counted(without, 'dig')} without an uncertainty: what it is off counts as the survey's"
     unsure = sum(row.is_sized and row.within is None for row in rows)
     if unsure:
-        yield f"{_counted(unsure, 'reported depth')} without an uncertainty: whether it is kept cannot be told"
+        yield f"{_counted(unsure, 'reported depth')} without a tolerance of its kind or its own: not judged"
     limits = sum(row.place is not None and row.place.at_least and row.outcome is Dug.FOUND for row in rows)
     if limits:
         yield f"{_counted(limits, 'reported depth')} as a lower limit: only one that is too deep can be judged"

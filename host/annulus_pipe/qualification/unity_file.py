@@ -29,7 +29,11 @@ def to_dict(unity: Unity) -> dict[str, Any]:
         "source": unity.source,
         "digs": unity.digs,
         "statement": unity.statement(),
-        "claim": _plain(asdict(unity.claim)),
+        "claim": {
+            "certainty": unity.claim.certainty,
+            "basis": unity.claim.basis,
+            "tolerances": [{"kind": kind, "tolerance_mm": _plain(mm)} for kind, mm in unity.claim.tolerances],
+        },
         "shift_mm": unity.shift_mm,
         "shift_basis": unity.shift_basis,
         "judgement": unity.judgement.to_dict(),
@@ -61,7 +65,11 @@ def from_dict(found: Mapping[str, Any]) -> Unity:
     return Unity(
         _text(found, "source"),
         _text(found, "digs"),
-        ToolClaim(within(claim.get("certainty"), "certainty", 0, 1), _mm(claim, "tolerance_mm"), _text(claim, "basis")),
+        ToolClaim(
+            within(claim.get("certainty"), "certainty", 0, 1),
+            tuple(_tolerance(mapping(one, "a tolerance")) for one in _list(claim, "tolerances")),
+            _text(claim, "basis"),
+        ),
         number(found.get("shift_mm"), "shift_mm", MM_MAX),
         _text(found, "shift_basis"),
         tuple(_row(mapping(one, "a row")) for one in _list(found, "rows")),
@@ -73,6 +81,10 @@ def from_dict(found: Mapping[str, Any]) -> Unity:
         tuple(_next(mapping(one, "a next dig")) for one in _list(found, "next_digs")),
         tuple(printable(raw_text(one, "a remark", TEXT_MAX)) for one in _list(found, "remarks")),
     )
+
+
+def _tolerance(found: Mapping[str, Any]) -> tuple[str, float]:
+    return _text(found, "kind"), _mm(found, "tolerance_mm")
 
 
 def _row(found: Mapping[str, Any]) -> DugPlace:

@@ -93,7 +93,7 @@ def unity_page(unity: Unity, picture: bytes, created: str) -> str:
         look=LOOKS[judged.outcome],
         heading=HEADINGS[judged.outcome],
         judged=judged.statement(),
-        claim=unity.claim_statement,
+        claim=unity.claim.statement(),
         remarks=unity.remarks,
         digs=unity.digs,
         facts=list(_facts(unity)),
@@ -153,10 +153,10 @@ def _marks(rows: Sequence[DugPlace]) -> Iterator[Line2D]:
 
 def _bound(unity: Unity) -> float:
     """Half the width between the bounds: the claim with a typical dig's own; NaN where either differs by place."""
-    if math.isnan(unity.claim.tolerance_mm):
+    if math.isnan(unity.claim.single_mm):
         return math.nan
     stated = [unity.claim.of_dig(row.dig.depth_u_mm) for row in unity.rows if math.isfinite(row.dig.depth_u_mm)]
-    return math.hypot(unity.claim.tolerance_mm, float(np.median(stated)) if stated else 0.0)
+    return math.hypot(unity.claim.single_mm, float(np.median(stated)) if stated else 0.0)
 
 
 def _depths(row: DugPlace) -> tuple[float, float] | None:

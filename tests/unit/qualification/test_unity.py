@@ -19,8 +19,8 @@ from annulus_pipe.qualification.unity import Dug, SurveyResults, ToolClaim, Unit
 from annulus_pipe.qualification.validation import Outcome
 from annulus_pipe.vocabulary import AnnulusError
 
-CLAIM = ToolClaim(0.8, 0.3, "as claimed")
-OWN = ToolClaim(0.95, math.nan, "as the survey states")
+CLAIM = ToolClaim(0.8, (("", 0.3),), "as claimed")
+OWN = ToolClaim(0.95, (), "as the survey states")
 NAN = math.nan
 
 
@@ -89,7 +89,15 @@ def test_both_may_be_off_together() -> None:
 def test_a_survey_is_held_to_its_own_k2_where_nothing_else_is_claimed() -> None:
     found = held([place(1, 1.0, 0.05), place(2, 1.0, 0.5), place(3, 1.0, NAN)], [dig(i, 1.3) for i in (1, 2, 3)], OWN)
     assert [row.within for row in found.rows] == [False, True, None]
-    assert found.judgement.n == 2 and "1 reported depth without an uncertainty" in found.remarks[0]
+    assert found.judgement.n == 2 and "1 reported depth without a tolerance" in found.remarks[0]
+
+
+def test_each_kind_may_have_a_tolerance_of_its_own() -> None:
+    claim = ToolClaim(0.8, (("loss", 0.1), ("bump", 0.5)), "pod.json")
+    places = [place(1, 1.0), place(2, 1.0, kind="bump"), place(3, 1.0, kind="ovality")]
+    digs = [dig(1, 1.3), dig(2, 1.3, kind=DugKind.BUMP), dig(3, 1.3, kind=DugKind.OVALITY)]
+    assert [row.within for row in held(places, digs, claim).rows] == [False, True, None]
+    assert "within loss ± 0.10 mm, bump ± 0.50 mm (pod.json)" in claim.statement()
 
 
 def test_a_lower_limit_is_judged_only_where_it_is_too_deep() -> None:
@@ -161,7 +169,7 @@ def test_a_true_claim_is_hardly_ever_rejected_and_a_false_one_hardly_ever_accept
     """2.5 % each, and three standard deviations of what so many studies show."""
     chance = np.random.default_rng(n)
     most = 0.025 + 3 * math.sqrt(0.025 * 0.975 / studies)
-    sigma = CLAIM.tolerance_mm / float(stats.norm.ppf(0.9))  # 80 % within 0.3 mm, just so
+    sigma = CLAIM.single_mm / float(stats.norm.ppf(0.9))  # 80 % within 0.3 mm, just so
     true = [drawn(chance, n, sigma, CLAIM).judgement.outcome for _ in range(studies)]
     false = [drawn(chance, n, 1.1 * sigma, CLAIM).judgement.outcome for _ in range(studies)]
     assert true.count(Outcome.REJECTED) <= most * studies
@@ -169,7 +177,7 @@ def test_a_true_claim_is_hardly_ever_rejected_and_a_false_one_hardly_ever_accept
 
 
 def test_a_tool_twice_as_bad_as_claimed_is_rejected() -> None:
-    sigma = CLAIM.tolerance_mm / float(stats.norm.ppf(0.9))
+    sigma = CLAIM.single_mm / float(stats.norm.ppf(0.9))
     chance = np.random.default_rng(5)
     judged = [drawn(chance, 40, 2 * sigma, CLAIM).judgement.outcome for _ in range(40)]
     assert judged.count(Outcome.REJECTED) >= 36  # 39 of these; 0.978 of all: 26 of 40 within at most, of 0.48

@@ -21,7 +21,7 @@ PLACES = tuple(
 )
 HOLE = UnseenPlace(900.0, 950.0, 0.0, 90.0)
 SURVEY = SurveyResults(Pull("results", "", 0.0, 4000.0, 50.0, 0.2, holes=(HOLE,)), PLACES)
-CLAIM = ToolClaim(0.8, 0.2, "as claimed")
+CLAIM = ToolClaim(0.8, (("", 0.2),), "as claimed")
 
 
 def unity_case(rng: Random) -> bytes:
