@@ -18,6 +18,7 @@ CORE = {  # and what `--help` says of it
     "reference": "A piece of pipe of known diameter: whether the head still measures it right, and what has drifted.",
     "pattern": "The projector's pattern.",
     "certify": "What a head's diameters are worth: a gauge study on reference pieces of pipe, and its certificate.",
+    "pod": "What a head detects: defects to machine, what became of them in a survey, probability of detection.",
     "archive": "Surveys of many pipes over the years: a catalogue of them, and questions to it.",
     "firmware": "Look at the controller's firmware, put it on a board, watch what it says.",
     "selftest": "A second Pico plays camera, encoder and interlock to the controller, and times its outputs.",

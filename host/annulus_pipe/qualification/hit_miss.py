@@ -13,6 +13,9 @@ Biometrika 73, 307; Brazzale, Davison & Reid 2007, Applied Asymptotics, section 
 1823A prints bounds for hits and misses at chi-squared's 95 %, which is one-sided 97.5 %: `bound` with z = 1.96 and
 corrected=False gives its numbers, digit by digit; what is stated here is the one-sided 95 % that it defines.
 
+A target that was passed several times is one target: the loglikelihood of its trials is divided by their number, as
+1823A's own program does, for they say more of that target and little more of its size.
+
 What the data cannot say is not said: no misses, no hits, hits and misses that do not overlap, no rise with size, or a
 value outside of the sizes that were laid. `why` says which, and `least_pod` what can be said instead.
 """
@@ -25,7 +28,7 @@ from enum import StrEnum
 import numpy as np
 
 from annulus_pipe.extras import need
-from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.arrays import FloatArray, IntArray
 from annulus_pipe.numeric.late import optimize, special, stats
 from annulus_pipe.qualification.validation import proportion
 from annulus_pipe.vocabulary import AnnulusError
@@ -37,7 +40,7 @@ POD, CONFIDENCE = 0.9, 0.95
 # true; without it 92 % (tools/bench, topic pod).
 NEARLY_AS_LIKELY = 0.5
 STEPS_MAX = 100  # of a Newton iteration, which ends after 5 to 10
-CURVE_POINTS = 60  # of a curve for a picture
+CURVE_POINTS, CURVE_LEVELS = 60, 25  # of a curve for a picture: sizes, and POD whose bound is found
 
 
 class SizeAxis(StrEnum):
@@ -73,16 +76,30 @@ class Curve:
     pod: tuple[float, ...]
     lower: tuple[float, ...]
 
+    @classmethod
+    def through(
+        cls, size: FloatArray, pod: FloatArray, levels: Sequence[float], bounds: Sequence[float | None]
+    ) -> "Curve":
+        """bounds : the size at which POD is surely each of the levels, which rise: the lower bound there."""
+        at = [(mm, one) for mm, one in zip(bounds, levels, strict=True) if mm is not None]
+        lower = np.full(len(size), np.nan)
+        if len(at) > 1:
+            mm, level = (np.array(one) for one in zip(*at, strict=True))
+            lower = np.interp(size, np.maximum.accumulate(mm), level, left=np.nan, right=np.nan)
+        return cls(*(tuple(float(v) for v in one) for one in (size, pod, lower)))
+
 
 @dataclass(frozen=True, slots=True)
 class PodFit:
     """What a set of trials says. Sizes are None where nothing can be told, and `why` says for what reason.
 
-    axis : what it was fitted in. least : of all sizes laid, and of the larger half of them.
+    laid : targets, each of which may have had several of the `trials`, `detected` of them. axis : what it was fitted
+    in. least : of all sizes laid, and of the larger half of them; detected there is what was in every trial.
     """
 
     method: str
     laid: int
+    trials: int
     detected: int
     from_mm: float
     to_mm: float
@@ -98,15 +115,18 @@ class PodFit:
 class Logistic:
     """logit POD = b0 + b1 x, by maximum likelihood, and the confidence bound of a size x at which POD is p."""
 
-    def __init__(self, x: FloatArray, hit: FloatArray) -> None:
-        """x (N,), hit (N,) 0 or 1, which overlap. Raises AnnulusError without statsmodels."""
+    def __init__(self, x: FloatArray, hit: FloatArray, weight: FloatArray | None = None) -> None:
+        """x (N,), hit (N,) 0 or 1, which overlap; weight (N,) of each, 1. Raises AnnulusError without statsmodels."""
         sm = need("statsmodels.api")
-        self.x, self.hit = x, hit
-        fitted = sm.GLM(hit, sm.add_constant(x), family=sm.families.Binomial()).fit(tol=1e-12, maxiter=STEPS_MAX)
+        self.x, self.hit, self.weight = x, hit, np.ones(len(x)) if weight is None else weight
+        model = sm.GLM(hit, sm.add_constant(x), family=sm.families.Binomial(), freq_weights=self.weight)
+        fitted = model.fit(tol=1e-12, maxiter=STEPS_MAX)
         self.b0, self.b1 = (float(one) for one in fitted.params)
         self.loglikelihood = float(fitted.llf)
-        weight = special.expit(self.b0 + self.b1 * x) * special.expit(-self.b0 - self.b1 * x)
-        self._information = float(weight.sum() * (weight @ x**2) - (weight @ x) ** 2)  # determinant of 2 x 2
+        known = self.weight * special.expit(self.b0 + self.b1 * x) * special.expit(-self.b0 - self.b1 * x)
+        self._information = float(
+            known.sum() * (known @ (x - x.mean()) ** 2) - (known @ (x - x.mean())) ** 2
+        )  # its determinant
 
     def at(self, pod: float) -> float:
         """x at which POD is this."""
@@ -115,10 +135,12 @@ class Logistic:
     def held(self, pod: float, x: float) -> tuple[float, float, float]:
         """With POD held at a value at x: slope, loglikelihood, and the slope's information there."""
         u, logit, slope = self.x - x, float(special.logit(pod)), self.b1
+        if (self.weight * u) @ (self.hit - pod) <= 0:  # it falls from slope 0 on: POD is the same at every size
+            return 0.0, self._of(np.full(len(u), logit)), float((self.weight * pod * (1 - pod)) @ u**2)
         best = self._of(logit + slope * u)
         for _ in range(STEPS_MAX):  # concave in the slope
             p = special.expit(logit + slope * u)
-            step = float(u @ (self.hit - p)) / max(float((p * (1 - p)) @ u**2), 1e-300)
+            step = float((self.weight * u) @ (self.hit - p)) / max(float((self.weight * p * (1 - p)) @ u**2), 1e-300)
             while True:
                 value = self._of(logit + (slope + step) * u)
                 if (slope + step > 0 and value >= best - 1e-13 * abs(best)) or abs(step) < 1e-12 * slope:
@@ -128,7 +150,7 @@ class Logistic:
             if abs(step) < 1e-10 * slope:
                 break
         p = special.expit(logit + slope * u)
-        return slope, best, float((p * (1 - p)) @ u**2)
+        return slope, best, float((self.weight * p * (1 - p)) @ u**2)
 
     def root(self, pod: float, x: float, *, corrected: bool = True) -> float:
         """Signed root of the likelihood ratio of "POD is this at x", standard normal; positive above the estimate."""
@@ -143,7 +165,9 @@ class Logistic:
     def bound(self, pod: float, z: float, farthest: float, *, corrected: bool = True) -> float | None:
         """The largest x at which POD may be as low as this: root = z. None where it lies beyond `farthest`."""
         estimate = self.at(pod)
-        near = estimate + 0.05 * z / self.b1 / math.sqrt(len(self.x))  # the correction is 0/0 at the estimate itself
+        near = estimate + 0.05 * z / self.b1 / math.sqrt(
+            self.weight.sum()
+        )  # the correction is 0/0 at the estimate itself
         if not near < farthest or not self.root(pod, farthest, corrected=corrected) >= z:
             return None
         if not self.root(pod, near, corrected=corrected) < z:
@@ -158,57 +182,71 @@ class Logistic:
             return None
 
     def _of(self, logit: FloatArray) -> float:
-        return -float(np.logaddexp(0.0, np.where(self.hit > 0, -logit, logit)).sum())
+        return -float(self.weight @ np.logaddexp(0.0, np.where(self.hit > 0, -logit, logit)))
 
 
 def fit_hit_miss(
-    size_mm: Sequence[float], detected: Sequence[bool], axis: SizeAxis | None = None, *, curve: bool = True
+    size_mm: Sequence[float],
+    detected: Sequence[bool],
+    axis: SizeAxis | None = None,
+    *,
+    target: Sequence[int] | None = None,
+    curve: bool = True,
 ) -> PodFit:
     """POD against a size, and its a90/95.
 
-    size_mm (N,) positive, detected (N,). axis : None takes the likelier. curve : for a picture, which takes longer.
-    Raises AnnulusError for sizes that are none, and without statsmodels.
+    size_mm (N,) positive, detected (N,). axis : None takes the likelier. target : of which target each trial is; None,
+    each of its own. curve : for a picture, which takes longer. Raises AnnulusError for sizes that are none, and without
+    statsmodels.
     """
     size, hit = np.asarray(size_mm, float), np.asarray(detected, float)
     if size.shape != hit.shape or not np.all(np.isfinite(size) & (size > 0)):
         raise AnnulusError("a size of a defect is not a positive number of mm. Expected one for every trial.")
     if not len(size):
-        return PodFit("ASTM E2862", 0, 0, math.nan, math.nan, why="no defect of this kind was laid and judged")
-    none = PodFit(
-        "ASTM E2862", len(size), int(hit.sum()), float(size.min()), float(size.max()), least=least_pods(size, hit)
-    )
-    why = _unfit(size, hit)
+        return PodFit("ASTM E2862", 0, 0, 0, math.nan, math.nan, why="no defect of this kind was laid and judged")
+    which, weight = shared(target, len(size))
+    none = PodFit("ASTM E2862", len(np.unique(which)), len(size), int(hit.sum()), float(size.min()), float(size.max()))
+    none = replace(none, least=least_pods(size, hit, which))
+    why = _unfit(size, hit, none.laid)
     if why:
         return replace(none, why=why)
-    fits = [(one, Logistic(one.of(size), hit)) for one in ((axis,) if axis else SizeAxis)]
+    fits = [(one, Logistic(one.of(size), hit, weight)) for one in ((axis,) if axis else SizeAxis)]
     fits = [(one, fit) for one, fit in fits if fit.b1 > 0]
     if not fits:
         return replace(none, why="POD does not rise with size in these trials")
     fits.sort(key=lambda one: -one[1].loglikelihood)
     used, best = fits[0]
-    likely = [one for one in fits if best.loglikelihood - one[1].loglikelihood < NEARLY_AS_LIKELY]
     z = float(stats.norm.ppf(CONFIDENCE))
-    bounds = [_bound_mm(one, fit, none.to_mm, z) for one, fit in likely]
-    sure = None if any(one is None for one in bounds) else max(one for one in bounds if one is not None)
-    if sure is not None and sure < none.from_mm:
-        sure = none.from_mm  # POD is larger still there, and nothing smaller was laid
-    found = replace(
-        none,
-        axis=str(used),
-        a50_mm=_inside(used.back(best.at(0.5)), none),
-        a90_mm=_inside(used.back(best.at(POD)), none),
-        a9095_mm=sure,
-        curve=_curve(used, best, none, z) if curve else None,
+    likely = [one for one in fits if best.loglikelihood - one[1].loglikelihood < NEARLY_AS_LIKELY]
+    return stated(
+        replace(none, axis=str(used), curve=_curve(used, best, none, z) if curve else None),
+        (used.back(best.at(0.5)), used.back(best.at(POD))),
+        [_bound_mm(one, fit, none.to_mm, z) for one, fit in likely],
     )
-    if sure is None:
-        beyond = used.back(best.at(POD)) > none.to_mm
-        what = "a90" if beyond else "a90/95"
-        return replace(found, why=f"{what} lies beyond the largest laid, {none.to_mm:.2f} mm")
-    return found
 
 
-def least_pods(size: FloatArray, hit: FloatArray) -> tuple[LeastPod, ...]:
+def shared(target: Sequence[int] | None, trials: int) -> tuple[IntArray, FloatArray]:
+    """Of which target each trial is, and the part of one that it counts for."""
+    which = np.arange(trials) if target is None else np.asarray(target, np.int64)
+    _, at, count = np.unique(which, return_inverse=True, return_counts=True)
+    return which, 1.0 / count[at]
+
+
+def stated(fit: PodFit, estimates: tuple[float, float], bounds: Sequence[float | None]) -> PodFit:
+    """With a50, a90 and the largest of the bounds, as far as they lie within the sizes laid; None: it lies beyond."""
+    a50, a90 = (one if fit.from_mm <= one <= fit.to_mm else None for one in estimates)
+    known = [one for one in bounds if one is not None]
+    if len(known) < len(bounds):
+        what = "a90" if estimates[1] > fit.to_mm else "a90/95"
+        return replace(fit, a50_mm=a50, a90_mm=a90, why=f"{what} lies beyond the largest laid, {fit.to_mm:.2f} mm")
+    # a bound below the smallest laid: POD is larger still there, and nothing smaller was laid
+    return replace(fit, a50_mm=a50, a90_mm=a90, a9095_mm=max(*known, fit.from_mm))
+
+
+def least_pods(size: FloatArray, hit: FloatArray, target: IntArray) -> tuple[LeastPod, ...]:
     """Of all sizes, and of the larger half: a part that was named before anybody knew what was detected."""
+    at = [np.flatnonzero(target == one) for one in np.unique(target)]
+    size, hit = np.array([size[one].mean() for one in at]), np.array([hit[one].min() for one in at])
     out = [_least(size, hit)]
     larger = size >= np.median(size)
     if 0 < larger.sum() < len(size):
@@ -222,10 +260,10 @@ def _least(size: FloatArray, hit: FloatArray) -> LeastPod:
     return LeastPod(float(size.min()), float(size.max()), laid, detected, pod)
 
 
-def _unfit(size: FloatArray, hit: FloatArray) -> str:
+def _unfit(size: FloatArray, hit: FloatArray, laid: int) -> str:
     """Why no curve can be fitted; "" where one can."""
-    if len(size) < TARGETS_LEAST:
-        return f"{len(size)} laid, at least {TARGETS_ASKED} are asked for (MIL-HDBK-1823A, 4.5.2.2)"
+    if laid < TARGETS_LEAST:
+        return f"{laid} laid, at least {TARGETS_ASKED} are asked for (MIL-HDBK-1823A, 4.5.2.2)"
     if hit.all():
         return "all were detected: no curve can be fitted, smaller ones would have to be laid"
     if not hit.any():
@@ -240,20 +278,8 @@ def _bound_mm(axis: SizeAxis, fit: Logistic, largest_mm: float, z: float, pod: f
     return None if found is None else axis.back(found)
 
 
-def _inside(size_mm: float, fit: PodFit) -> float | None:
-    """No statement outside of the sizes laid."""
-    return size_mm if fit.from_mm <= size_mm <= fit.to_mm else None
-
-
 def _curve(axis: SizeAxis, fit: Logistic, none: PodFit, z: float) -> Curve:
-    """POD over the sizes laid; where the bound of POD p lies at a size, the lower bound there is p."""
     size = np.linspace(none.from_mm, none.to_mm, CURVE_POINTS)
     pod = special.expit(fit.b0 + fit.b1 * axis.of(size))
-    levels = special.expit(np.linspace(-4.0, 5.0, 25))
-    known = [(one, _bound_mm(axis, fit, none.to_mm, z, float(one))) for one in levels]
-    at = [(mm, one) for one, mm in known if mm is not None]
-    lower = np.full(len(size), np.nan)
-    if len(at) > 1:
-        mm, level = (np.array(one) for one in zip(*at, strict=True))
-        lower = np.interp(size, np.maximum.accumulate(mm), level, left=np.nan, right=np.nan)
-    return Curve(*(tuple(float(v) for v in one) for one in (size, pod, lower)))
+    levels = [float(one) for one in special.expit(np.linspace(-4.0, 5.0, CURVE_LEVELS))]
+    return Curve.through(size, pod, levels, [_bound_mm(axis, fit, none.to_mm, z, one) for one in levels])

@@ -11,7 +11,7 @@ were missed would raise the probability of detection. Nothing here knows the ben
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import NamedTuple
@@ -143,7 +143,6 @@ class Trials:
     false_calls: tuple[tuple[str, Reported], ...] = ()
     undecided_elsewhere: int = 0
     of_other_kinds: int = 0
-    remarks: tuple[str, ...] = field(default=())
 
     def joined(self, other: "Trials") -> "Trials":
         """With those of another pull. AnnulusError where both have the same."""
@@ -156,7 +155,6 @@ class Trials:
             self.false_calls + other.false_calls,
             self.undecided_elsewhere + other.undecided_elsewhere,
             self.of_other_kinds + other.of_other_kinds,
-            tuple(dict.fromkeys((*self.remarks, *other.remarks))),
         )
 
 
