@@ -42,6 +42,10 @@ def plan_command(
         float, typer.Option(min=0.01, max=1000.0, metavar="MM", help="The deepest that the wall allows.")
     ] = 1000.0,
     spool: Annotated[float, typer.Option(min=300.0, max=1e5, metavar="MM", help="Length of a piece of pipe.")] = 6000.0,
+    diameter: Annotated[
+        float,
+        typer.Option(min=0.0, max=10_000.0, metavar="MM", help="Its inner diameter: defects lie side by side then."),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Draws clocks and order.")] = 1,
     as_json: Json = False,
 ) -> None:
@@ -55,7 +59,7 @@ def plan_command(
     from annulus_pipe.qualification.trial_files import truths_csv
 
     plan = plan_sizes(want, a50, a90, deepest_mm=deepest, seed=seed)
-    laid = spools(plan, str(kind), length, width, spool_mm=spool, seed=seed)
+    laid = spools(plan, str(kind), length, width, spool_mm=spool, bore_mm=diameter, seed=seed)
     files = [out / f"spool-{number}.csv" for number in range(1, len(laid) + 1)]
     for file, its in zip(files, laid, strict=True):
         _write(file, truths_csv(its))

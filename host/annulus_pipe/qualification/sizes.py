@@ -73,11 +73,20 @@ def plan_sizes(
 
 
 def spools(
-    plan: SizePlan, kind: str, length_mm: float, width_mm: float, *, spool_mm: float = SPOOL_MM, seed: int = 1
+    plan: SizePlan,
+    kind: str,
+    length_mm: float,
+    width_mm: float,
+    *,
+    spool_mm: float = SPOOL_MM,
+    bore_mm: float = 0.0,
+    seed: int = 1,
 ) -> tuple[tuple[TrueDefect, ...], ...]:
-    """The plan's defects along as many spools as they take, in an order and at clocks drawn from the seed."""
+    """The plan's defects along as many spools as they take, in an order and at clocks drawn from the seed; side by side
+    round a pipe of inner diameter bore_mm, where that is known."""
     rng = np.random.default_rng(seed)
-    each = math.floor((spool_mm - FIRST_MM - length_mm) / (length_mm + APART_MM)) + 1
+    around = max(1, math.floor(math.pi * bore_mm / (width_mm + APART_MM)))
+    each = around * (math.floor((spool_mm - FIRST_MM - length_mm) / (length_mm + APART_MM)) + 1)
     if each < 1:
         raise AnnulusError(
             f"a spool of {spool_mm:g} mm: no defect {length_mm:g} mm long has room on it behind {FIRST_MM:g} mm"
@@ -87,7 +96,8 @@ def spools(
         raise AnnulusError(
             f"a bump {depths.max():g} mm high and {length_mm:g} long: expected one at least twice as long as high"
         )
-    clocks = np.round(rng.uniform(0.0, 360.0, len(depths)), 0) % 360.0
+    turns = rng.uniform(0.0, 360.0, math.ceil(len(depths) / around))[:, None] + 360.0 / around * np.arange(around)
+    clocks = np.round(turns.ravel()[: len(depths)]) % 360.0
     out: list[tuple[TrueDefect, ...]] = []
     for first in range(0, len(depths), each):
         name = f"spool {len(out) + 1}"
@@ -97,7 +107,7 @@ def spools(
                 TrueDefect(
                     f"{len(out) + 1}-{i + 1:02d}",
                     kind,
-                    FIRST_MM + length_mm / 2 + i * (length_mm + APART_MM),
+                    FIRST_MM + length_mm / 2 + i // around * (length_mm + APART_MM),
                     float(clock),
                     float(depth),
                     length_mm,

@@ -5,17 +5,16 @@ through. Warmth moves its optics as `wall.optics` has them for a plastic lens, a
 makes the pipe wider.
 """
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from annulus_pipe.geometry.drift import Drift, drifted
-from annulus_pipe.storage.numbers import number, read_bounded, require_cells
+from annulus_pipe.qualification.trial_files import read_truths
+from annulus_pipe.qualification.trials import TrueDefect
 from annulus_pipe.twin.worlds.features import FeatureKind, WorldFeature, wrap_deg
 from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.twin.worlds.world import World
@@ -31,29 +30,13 @@ BEYOND_MM = 20.0  # of wall behind the last defect, that its end is told from th
 PIPE_MOST_MM = 6000.0  # a length of pipe as it is sold; bounds the wall's map to half a gigabyte
 DEEPEST_MM = 10.0  # the wall of a 6-inch SDR 11 pipe has 15 mm
 SMALLEST_MM = 1.0  # of a length or a width: the wall's map has cells of 0.4 mm
-SPOOL_MAX = 1 << 20  # bytes
 DEFECTS_MOST = 1000  # of a spool: all pairs are looked at
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "z_mm": (0.0, PIPE_MOST_MM),
-    "clock_deg": (0.0, 360.0),
     "depth_mm": (0.01, DEEPEST_MM),
     "length_mm": (SMALLEST_MM, PIPE_MOST_MM),
     "width_mm": (SMALLEST_MM, PIPE_MOST_MM),
 }
-COLUMNS = ("name", "kind", *BOUNDS)
-
-
-@dataclass(frozen=True, slots=True)
-class MachinedDefect:
-    """A row of a spool's file. loss : a pocket, width_mm along the circumference; bump : a spherical cap."""
-
-    name: str
-    kind: str
-    z_mm: float
-    clock_deg: float
-    depth_mm: float
-    length_mm: float
-    width_mm: float
 
 
 def of_diameter(world: World, diameter_mm: float) -> World:
@@ -91,8 +74,10 @@ def optics_at(celsius: float, tube_mm: float) -> Drift:
 
 def with_spool(world: World, path: Path, frames: int) -> World:
     """The same head in a pipe with the defects of a file in place of the world's, pulled as far as all its rings pass
-    all of them. Raises AnnulusError for a row that cannot be drawn, and too few frames for it."""
-    defects = read_spool(path)
+    all of them. path : truths, as `annulus pod plan` writes them; a loss is drawn as a pocket, a bump as the cap of a
+    ball. Raises AnnulusError for a row that cannot be drawn, and too few frames for it."""
+    defects = read_truths(path)
+    _require_drawable(path, defects)
     features = tuple(_drawn(_qualified(world), one) for one in defects)
     slide = world.projector
     assert isinstance(slide, Projector)
@@ -111,59 +96,32 @@ def with_spool(world: World, path: Path, frames: int) -> World:
     return replace(world, features=features, travel_mm=travel)
 
 
-def read_spool(path: Path) -> tuple[MachinedDefect, ...]:
-    """A CSV file with COLUMNS, as `annulus pod plan` writes it; other columns are left alone. Raises AnnulusError with
-    the line."""
-    found: list[MachinedDefect] = []
-    try:
-        text = read_bounded(path, SPOOL_MAX).decode("utf-8-sig")
-        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-        columns = [name.strip() for name in rows.fieldnames or ()]
-        missing = [name for name in COLUMNS if name not in columns]
-        if missing or len(set(columns)) < len(columns):
-            wrong = f"no column {', '.join(missing)}" if missing else "a column is there twice"
-            raise AnnulusError(f"{path}: line 1: {wrong}, expected {','.join(COLUMNS)}")
-        rows.fieldnames = columns
-        for row in rows:
-            try:
-                require_cells(row, len(columns))
-                found.append(_defect(row))
-            except ValueError as error:
-                raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
-    except UnicodeDecodeError:
-        raise AnnulusError(f"{path}: not a text file, expected {','.join(COLUMNS)}") from None
-    except csv.Error as error:
-        raise AnnulusError(f"{path}: not a table: {error}") from None
-    if not 1 <= len(found) <= DEFECTS_MOST:
-        raise AnnulusError(f"{path}: {len(found)} defects, expected a line for each of 1 to {DEFECTS_MOST}")
-    return tuple(found)
+def _require_drawable(path: Path, defects: Sequence[TrueDefect]) -> None:
+    if not 1 <= len(defects) <= DEFECTS_MOST:
+        raise AnnulusError(f"{path}: {len(defects)} defects, expected 1 to {DEFECTS_MOST}, a row for each")
+    for one in defects:
+        for column, (low, high) in BOUNDS.items():
+            value = float(getattr(one, column))
+            if not low <= value <= high:
+                stated = "not stated" if math.isnan(value) else f"{value:g}"
+                raise AnnulusError(
+                    f"{path}: {shown(one.name)}: {column} is {stated}, expected a number in {low:g}..{high:g}"
+                )
+        if one.kind == "bump" and not (one.width_mm == one.length_mm >= 2 * one.depth_mm):
+            raise AnnulusError(
+                f"{path}: {shown(one.name)}: a bump {one.length_mm:g} mm long, {one.width_mm:g} wide and "
+                f"{one.depth_mm:g} high, expected a round one, at most half as high as it is long: it is drawn as the "
+                "cap of a ball"
+            )
 
 
-def _defect(row: Mapping[str, str]) -> MachinedDefect:
-    values = {}
-    for name, (low, high) in BOUNDS.items():
-        values[name] = number(row[name].strip())
-        if not low <= values[name] <= high:
-            raise ValueError(f"{name} is {shown(row[name])}, expected a number in {low:g}..{high:g}")
-    name, kind = row["name"].strip(), row["kind"].strip()
-    if kind not in ("loss", "bump"):
-        raise ValueError(f"kind is {shown(kind)}, expected loss or bump")
-    one = MachinedDefect(name, kind, **values)
-    if kind == "bump" and not (one.width_mm == one.length_mm >= 2 * one.depth_mm):
-        raise ValueError(
-            f"a bump {one.length_mm:g} mm long, {one.width_mm:g} wide and {one.depth_mm:g} high, expected a round "
-            "one, at most half as high as it is long: it is drawn as the cap of a ball"
-        )
-    return one
-
-
-def _drawn(world: World, one: MachinedDefect) -> WorldFeature:
+def _drawn(world: World, one: TrueDefect) -> WorldFeature:
     kind: FeatureKind = "pocket" if one.kind == "loss" else "bump"
     arc = min(math.degrees(one.width_mm / world.radius_mm), 360.0)
     return WorldFeature(kind, one.z_mm, one.length_mm, one.depth_mm, one.clock_deg, arc)
 
 
-def _require_apart(path: Path, defects: Sequence[MachinedDefect], radius_mm: float) -> None:
+def _require_apart(path: Path, defects: Sequence[TrueDefect], radius_mm: float) -> None:
     """AnnulusError for the first two whose outlines, as rectangles on the wall, overlap."""
     z, clock, length, width = (
         np.array([getattr(one, name) for one in defects]) for name in ("z_mm", "clock_deg", "length_mm", "width_mm")

@@ -154,6 +154,18 @@ def test_a_plan_reaches_what_is_wanted_and_lays_defects_apart() -> None:
     assert spools(plan, "loss", 20.0, 20.0, spool_mm=3000.0) == laid
 
 
+def test_defects_lie_side_by_side_round_a_pipe_of_known_diameter() -> None:
+    """A 6-inch pipe has room for five of 20 mm: a spool of 1.2 m in place of one of 5."""
+    plan = plan_sizes(1.5, 0.6, 0.9)
+    (its,) = spools(plan, "loss", 20.0, 20.0, bore_mm=152.4)
+    assert len(its) == len(plan.depths_mm) and its[-1].z_mm < 200 + 80 * math.ceil(len(its) / 5)
+    assert sorted(one.depth_mm for one in its) == pytest.approx(sorted(plan.depths_mm), abs=0.006)
+    for i, one in enumerate(its):
+        for other in its[:i]:
+            apart = abs((one.clock_deg - other.clock_deg + 180.0) % 360.0 - 180.0) * math.radians(1.0) * 76.2
+            assert max(apart, abs(one.z_mm - other.z_mm)) > 2 * (GATE_MM + 20.0 / 2)
+
+
 @pytest.mark.parametrize(
     ("wanted", "a50", "a90", "deepest", "expected"),
     [
