@@ -2,18 +2,20 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from annulus_pipe.cli.pulls import read_pull
 from annulus_pipe.cli.show import Json, print_fields, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.qualification.trials import Pull, Reported, Trials
+    from annulus_pipe.storage.results_folder import ListedPlace
 
 app = verbs()
 
@@ -175,52 +177,12 @@ def _all_states() -> Sequence[Any]:
 
 def _results(folder: Path) -> "tuple[Pull, list[Reported]]":
     """A pull and its list, from a folder of results."""
-    from annulus_pipe.qualification.trials import Pull, UnseenPlace
-    from annulus_pipe.storage.results_folder import SUMMARY, read_summary, scanned, unreadable
-    from annulus_pipe.untrusted import mapping, number, text
-
-    try:
-        summary = read_summary(folder)
-        first, last = scanned(summary)
-        job, diameter, limits = (_section(summary, name) for name in ("job", "diameter_mm", "limits"))
-        holes = summary.get("not_seen")
-        if not isinstance(holes, list):
-            raise ValueError("it does not list what was not seen: an older annulus made it, reconstruct the scan again")
-        depth = limits.get("depth_mm")
-        pull = Pull(
-            folder.resolve().name,
-            text(job.get("pipe") or "", "job.pipe", 300),
-            first,
-            last,
-            number(diameter.get("mean"), "diameter_mm.mean", 1e5) / 2,
-            math.nan if depth is None else number(depth, "limits.depth_mm", 1e5),
-            text(job.get("head") or "", "job.head", 300),
-            text(_section(summary, "versions").get("annulus") or "", "versions.annulus", 300),
-            text(str(summary.get("created") or ""), "created", 300)[:10],
-            tuple(
-                UnseenPlace(
-                    *(
-                        number(mapping(one, "not_seen").get(name), f"not_seen.{name}", 1e8)
-                        for name in ("z_from_mm", "z_to_mm", "clock_deg", "arc_deg")
-                    )
-                )
-                for one in holes
-            ),
-        )
-        return pull, [*_reported(summary, "defects", True), *_reported(summary, "undecided", False)]
-    except (OSError, ValueError) as error:
-        raise unreadable(folder / SUMMARY, error) from None
+    pull, defects, undecided, _ = read_pull(folder)
+    return pull, [*_reported(defects, True), *_reported(undecided, False)]
 
 
-def _section(summary: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    from annulus_pipe.untrusted import mapping
-
-    return mapping(summary.get(name) or {}, name)
-
-
-def _reported(summary: Mapping[str, Any], name: str, listed: bool) -> "list[Reported]":
+def _reported(places: "Sequence[ListedPlace]", listed: bool) -> "list[Reported]":
     from annulus_pipe.qualification.trials import Reported
-    from annulus_pipe.storage.results_folder import places
 
     return [
         Reported(
@@ -234,7 +196,7 @@ def _reported(summary: Mapping[str, Any], name: str, listed: bool) -> "list[Repo
             not one.floor_seen,
             listed,
         )
-        for one in places(summary, name)
+        for one in places
     ]
 
 

@@ -2,12 +2,14 @@
 
 import json
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from annulus_pipe.cli.pulls import read_pull
 from annulus_pipe.cli.show import Json
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -27,6 +29,9 @@ def unity(
     tolerance_mm: Annotated[
         float | None,
         typer.Option(min=0.001, max=TOLERANCE_MAX_MM, help="Of depths, as claimed. [default: each its own k = 2]"),
+    ] = None,
+    pod: Annotated[
+        Path | None, typer.Option(help="pod.json of `annulus pod fit`, whose tolerances are the claim.")
     ] = None,
     certainty: Annotated[
         float | None,
@@ -51,7 +56,10 @@ def unity(
     from annulus_pipe.storage.whole import written_whole
 
     dug = read_digs(digs)
-    found = study(_results(results), dug, str(digs), _claim(tolerance_mm, certainty), shift_mm, confidence)
+    claim, survey = _claim(tolerance_mm, pod, certainty), _results(results)
+    found = study(survey, dug, str(digs), claim, shift_mm, confidence)
+    if pod is not None:
+        found = replace(found, remarks=(*found.remarks, *_not_of(pod, survey)))
     created = datetime.now(UTC).isoformat(timespec="seconds")
     content = {**to_dict(found), "created": created}
     picture = draw_unity(found)
@@ -75,36 +83,41 @@ def unity(
     print(f"page       {out / 'unity.html'}")
 
 
-def _claim(tolerance_mm: float | None, certainty: float | None) -> "ToolClaim":
+def _claim(tolerance_mm: float | None, pod: Path | None, certainty: float | None) -> "ToolClaim":
+    from annulus_pipe.qualification.pod import read_pod
     from annulus_pipe.qualification.unity import OWN_CERTAINTY, ToolClaim
     from annulus_pipe.qualification.validation import CERTAINTY
 
-    if tolerance_mm is None:
+    if tolerance_mm is not None and pod is not None:
+        raise AnnulusError("--tolerance-mm and --pod are both a claim: give one of them")
+    if tolerance_mm is not None:
+        return ToolClaim(certainty or CERTAINTY, (("", tolerance_mm),), "as claimed")
+    if pod is None:
         return ToolClaim(certainty or OWN_CERTAINTY, (), "as the survey states")
-    return ToolClaim(certainty or CERTAINTY, (("", tolerance_mm),), "as claimed")
+    sizing, wanted = read_pod(pod).sizing, certainty or CERTAINTY
+    found = {kind: one.tolerance_mm for kind, its in sizing for one in its.tolerances if one.certainty == wanted}
+    if not found:
+        raise AnnulusError(f"{pod}: states no tolerance at {wanted:.0%} certainty. Expected --certainty 0.8 or 0.9.")
+    return ToolClaim(wanted, tuple(found.items()), pod.name)
+
+
+def _not_of(pod: Path, survey: "SurveyResults") -> list[str]:
+    """Why what a study of detection states may not be claimed of this survey."""
+    from annulus_pipe.qualification.pod import read_pod
+
+    pull = survey.pull
+    return [f"{pod.name}: {why}" for why in read_pod(pod).differs(pull.head, pull.version, 2 * pull.bore_radius_mm)]
 
 
 def _results(folder: Path) -> "SurveyResults":
     """Raises AnnulusError, one line, for a folder that is none of a pipe."""
-    from annulus_pipe.qualification.trials import Pull, UnseenPlace
     from annulus_pipe.qualification.unity import SurveyResults
-    from annulus_pipe.storage import results_folder as read
 
-    try:
-        summary = read.read_summary(folder)
-        figures = read.figures(summary)
-        first, last = read.scanned(summary)
-        diameter = figures.get("diameter_mm.nominal") or figures.get("diameter_mm.mean") or 0.0
-        if not diameter > 0.0:
-            raise ValueError("no diameter was measured")
-        listed = [_place(one, f"D{i}") for i, one in enumerate(read.places(summary, "defects"), 1)]
-        unsure = [_place(one, f"?{i}", True) for i, one in enumerate(read.places(summary, "undecided"), 1)]
-        holes = [UnseenPlace(one.z_from_mm, one.z_to_mm, one.clock_deg, one.arc_deg) for one in read.unseen(summary)]
-    except (OSError, ValueError) as error:
-        raise read.unreadable(folder / read.SUMMARY, error) from None
-    limit = figures.get("limits.depth_mm", math.nan)
-    pull = Pull(str(folder), "", first, last, diameter / 2, limit, holes=tuple(holes))
-    return SurveyResults(pull, (*listed, *unsure), _wall_mm(summary.get("job"), diameter))
+    pull, defects, undecided, summary = read_pull(folder)
+    listed = [_place(one, f"D{i}") for i, one in enumerate(defects, 1)]
+    unsure = [_place(one, f"?{i}", True) for i, one in enumerate(undecided, 1)]
+    wall = _wall_mm(summary.get("job"), 2 * pull.bore_radius_mm)
+    return SurveyResults(replace(pull, name=str(folder)), (*listed, *unsure), wall)
 
 
 def _place(one: "ListedPlace", name: str, undecided: bool = False) -> "SurveyPlace":

@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import re
 import subprocess
@@ -19,8 +20,13 @@ import pytest
 from browser import chromium, faults, opened
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
+from annulus_pipe.qualification.digs import Dig, DugKind
+from annulus_pipe.qualification.matching import SurveyPlace
+from annulus_pipe.qualification.trials import Pull
+from annulus_pipe.qualification.unity import SurveyResults, ToolClaim, study
 from annulus_pipe.report import Paper, ScanAccount, write
 from annulus_pipe.report.pdf import to_pdf
+from annulus_pipe.report.unity_page import draw_unity, unity_page
 from annulus_pipe.vocabulary import Finding
 from annulus_pipe.wall.conformity import Criteria, judge
 from annulus_pipe.wall.defects import Defect, Kind
@@ -31,9 +37,9 @@ from annulus_pipe.wings.fringe.measure.plate import Plate
 from annulus_pipe.wings.fringe.plate_page import write_plate
 from annulus_pipe.wings.joints.page import write_joint_page
 
-PAGES = ("damaged", "sound", "plate", "joint")
+PAGES = ("damaged", "sound", "plate", "joint", "unity")
 WIDTHS = (1400, 1024, 390)
-MOST = [("damaged", 10), ("sound", 7), ("plate", 3), ("joint", 3)]  # pages on paper
+MOST = [("damaged", 10), ("sound", 7), ("plate", 3), ("joint", 3), ("unity", 3)]  # pages on paper
 PAPERS = {"A4": (595.3, 841.9), "Letter": (612.0, 792.0)}  # points
 JOINT = Feature(FeatureKind.JOINT, 90.0, 8.0, remark="butt fusion", measures=(FeatureMeasure("height_mm", 3.4, 0.193),))
 OPENING = Feature(FeatureKind.BRANCH, 60.0, 25.0, 355.0, 20.0, (FeatureMeasure("inner_d_mm", 25.2, 1.0),))
@@ -132,12 +138,34 @@ def write_joint(folder: Path) -> None:
     write_joint_page(folder)
 
 
+def write_unity(out: Path) -> None:
+    """Digs of every outcome."""
+    names = ("D1", "D2", "D3", "D4", "?1")
+    kinds = ("loss", "bump", "loss", "loss", "loss")
+    places = [
+        SurveyPlace(name, kind, 900.0 * i, 90.0, 20.0, 30.0, 0.7 * i, 0.2, i == 3, name == "?1")
+        for i, (name, kind) in enumerate(zip(names, kinds, strict=True), 1)
+    ]
+    rows = [(1, "loss", 0.6, 0.1), (2, "bump", 2.2, 0.1), (3, "loss", 2.4, math.nan), (5, "loss", 3.0, 0.1)]
+    rows += [(6, "loss", 1.0, 0.1), (7, "sound", math.nan, math.nan)]
+    digs = [
+        Dig(i, f"a place with a name {i}", DugKind(kind), 900.0 * i - 80.0, 95.0, depth, u, 20.0, 20.0)
+        for i, kind, depth, u in rows
+    ]
+    claim = ToolClaim(0.8, (("", 0.3),), "as claimed")
+    found = study(SurveyResults(Pull(LONG, "", 0.0, 9000.0, 60.0, 0.2), tuple(places)), digs, "digs.csv", claim, 300.0)
+    out.mkdir()
+    page = unity_page(found, draw_unity(found), "2026-11-29T02:00:00+00:00")
+    (out / "report.html").write_text(page, encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("pages")
     write_pipes(out)
     write_flat(out)
     write_joint(out / "joint")
+    write_unity(out / "unity")
     return out
 
 

@@ -11,6 +11,8 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from annulus_pipe.cli.app import app
+from annulus_pipe.qualification.pod import detectability, pod_json
+from annulus_pipe.qualification.trials import Pull, Trial, Trials, TrialState, TrueDefect
 from annulus_pipe.qualification.unity_file import read_unity
 from annulus_pipe.qualification.validation import Outcome
 from annulus_pipe.vocabulary import AnnulusError
@@ -36,7 +38,7 @@ SUMMARY: dict[str, Any] = {
     "format": "annulus-summary/1",
     "job": {"sdr": 11.0},
     "scanned_mm": {"from": 0.0, "to": 3000.0},
-    "diameter_mm": {"nominal": 90.0},
+    "diameter_mm": {"mean": 90.0},
     "limits": {"depth_mm": 0.2},
     "defects": [listed("loss", 400.0, 1.5), listed("bump", 900.0, 2.0), listed("loss", 1600.0, 0.8, floor_seen=False)],
     "undecided": [listed("loss", 2200.0, 0.4)],
@@ -81,6 +83,39 @@ def test_what_is_printed_says_the_result_first(results: Path) -> None:
     assert "each its own k = 2" in lines[1] and lines[-1].startswith("page ")
 
 
+def write_pod(path: Path, bore_mm: float) -> None:
+    """Of 20 losses, each 0.1 mm too deep or too shallow."""
+    truths = [TrueDefect(f"T{i}", "loss", 100.0 * i, 0.0, 1.0 + 0.1 * i) for i in range(20)]
+    trials = [
+        Trial(one, "spool", TrialState.DETECTED, "loss", one.depth_mm + 0.1 * (-1) ** i, 0.1)
+        for i, one in enumerate(truths)
+    ]
+    pull = Pull("spool", "", 0.0, 2000.0, bore_mm / 2)
+    path.write_text(pod_json(detectability(Trials(tuple(trials), (pull,)))))
+
+
+def test_a_study_of_detection_states_what_is_claimed_and_of_which_head(results: Path) -> None:
+    pod = results.parent / "pod.json"
+    write_pod(pod, 200.0)
+    rows = "A,loss,400,90,1.55,0.02,,\nB,bump,900,90,2.0,0.02,,\n"
+    lines = run(results, rows, "--pod", str(pod)).stdout.splitlines()
+    assert lines[0].startswith("1 of 1 within tolerance")  # of bumps it states nothing
+    assert "80% of depths within loss ± 0.10 mm" in lines[1] and "(pod.json)" in lines[1]
+    assert any("its pipes are 200.0 to 200.0 mm wide, and this is 90.0 mm" in line for line in lines)
+
+
+def test_two_claims_and_a_certainty_that_nobody_states_get_one_line(results: Path) -> None:
+    pod = results.parent / "pod.json"
+    write_pod(pod, 90.0)
+    for words, why in (
+        (("--pod", str(pod), "--tolerance-mm", "1"), "--tolerance-mm and --pod are both a claim"),
+        (("--pod", str(pod), "--certainty", "0.7"), "states no tolerance at 70% certainty"),
+        (("--pod", str(results / "summary.json")), "expected annulus-pod/1"),
+    ):
+        error = run(results, "A,loss,400,90,1.5,,,\n", *words).exception
+        assert isinstance(error, AnnulusError) and why in str(error) and "\n" not in str(error)
+
+
 @pytest.mark.parametrize(
     ("rows", "words", "why"),
     [
@@ -102,7 +137,7 @@ def test_wrong_digs_get_one_line(results: Path, rows: str, words: tuple[str, ...
     [
         ({"format": "annulus-summary/9"}, "its format is 'annulus-summary/9'"),
         ({"not_seen": [{"z_from_mm": "a"}]}, "not_seen[0].z_from_mm is 'a', expected a number"),
-        ({"diameter_mm": {}}, "no diameter was measured"),
+        ({"diameter_mm": {}}, "diameter_mm.mean is None, expected a number"),
         ({"defects": {}}, "defects must be a list"),
         ({"not_seen": None}, "does not list what was not seen"),
     ],
