@@ -199,7 +199,7 @@ def study(
     _require_depths(results, digs, name)
     near = _near(results, digs, bound_mm)
     matching = match(digs, near, results.pull.bore_radius_mm, bound_mm)
-    if not matching.by_dig:
+    if not matching.by_dig or (matching.basis == "places" and abs(matching.shift_mm) > GATE_MM):
         _require_units_along(results, digs, name, bound_mm)
     rows = tuple(_row(i, dig, near, matching, results, claim) for i, dig in enumerate(digs))
     _require_units_of_depth(rows, name)

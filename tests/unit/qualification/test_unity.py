@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +152,14 @@ def test_digs_of_another_pipe_or_in_other_units_are_refused_in_one_line(digs: li
     with pytest.raises(AnnulusError, match=why) as error:
         study(survey(places, wall_mm=8.0), digs, "digs.csv", CLAIM, 100.0)
     assert "\n" not in str(error.value)
+
+
+def test_metres_that_a_shift_would_bring_near_are_metres() -> None:
+    """Two defects 33 mm apart: in metres both digs lie at 0, and 96 mm farther each is near enough to one."""
+    places = [replace(place(1, 2.0), z_mm=80.0), replace(place(2, 2.0, kind="bump"), z_mm=113.0)]
+    digs = [replace(dig(1, 2.0), z_mm=0.080), replace(dig(2, 2.0, kind=DugKind.BUMP), z_mm=0.113)]
+    with pytest.raises(AnnulusError, match="if z_mm is in metres"):
+        study(survey(places), digs, "digs.csv", CLAIM, 300.0)
 
 
 def drawn(chance: np.random.Generator, n: int, sigma: float, claim: ToolClaim, dig_sigma: float = 0.05) -> Unity:
