@@ -146,6 +146,9 @@ def reconstruct(
             help="certificate.json of `annulus certify`, which the report quotes; the recording's own if none."
         ),
     ] = None,
+    pod: Annotated[
+        Path | None, typer.Option(help="pod.json, which the report quotes; the recording's own if not given.")
+    ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[PaperSize, typer.Option(help="Of report.pdf.")] = PaperSize.A4,
     show_as: Annotated[
@@ -195,8 +198,9 @@ def reconstruct(
             "job": job,
             "limits": limits,
         }
-        if certificate is not None:
-            raise AnnulusError(f"--certificate {certificate}: certificates are of heads that project rings")
+        for option, file in (("--certificate", certificate), ("--pod", pod)):
+            if file is not None:
+                raise AnnulusError(f"{option} {file}: is quoted of heads that project rings")
         refuse(wing[0], given)
         account = ReportContext(str(scan), origin_of(wing[0].scan, calibration, sheet), criteria)
         results = measured_by(wing, StoragePath(out.absolute()), account, Processes(workers), show_as, paper=printed)
@@ -210,7 +214,7 @@ def reconstruct(
     from annulus_pipe.report import prepare_folder
     from annulus_pipe.reprocess.whole import surveyed
 
-    vouching = qualification_of(work.scan, certificate)
+    vouching = qualification_of(work.scan, certificate, pod)
     origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
     with progress(show_as) as bars:

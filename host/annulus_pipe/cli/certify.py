@@ -15,7 +15,7 @@ from annulus_pipe.cli.show import Json, print_fields, verbs
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
-    from annulus_pipe.qualification.certificate import HeadInUse
+    from annulus_pipe.qualification.applicability import HeadInUse
     from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
     from annulus_pipe.qualification.study import Conditions, GaugeReading
 
@@ -155,7 +155,8 @@ def verify_command(
     as_json: Json = False,
 ) -> None:
     """Whether a certificate is as it was signed, by whom, still holds, and speaks for a scan. Status 1 where not."""
-    from annulus_pipe.qualification.certificate import Applicability, HeadInUse, read_certificate
+    from annulus_pipe.qualification.applicability import Applicability, HeadInUse
+    from annulus_pipe.qualification.certificate import read_certificate
     from annulus_pipe.qualification.signature import public_key
 
     made = read_certificate(certificate)
@@ -367,7 +368,7 @@ def _stated(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def in_use(summary: Mapping[str, Any], folder: Path) -> "HeadInUse":
     """What results state of the head that made them."""
-    from annulus_pipe.qualification.certificate import HeadInUse
+    from annulus_pipe.qualification.applicability import HeadInUse
 
     job, origin, stated = _section(summary, "job"), _section(summary, "origin"), _stated(summary)
     diameter, warm = _section(summary, "diameter_mm").get("mean"), job.get("temperature_c")

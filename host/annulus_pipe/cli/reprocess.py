@@ -208,7 +208,7 @@ def _reprocessed(scan: str, place: "StoragePath", executor: "Executor", given: _
     origin = origin_of(work.scan, given.calibration)
     if place.local is not None:
         prepare_folder(place.local)
-    about = ReportContext(scan, origin, qualification=qualification_of(work.scan, None))
+    about = ReportContext(scan, origin, qualification=qualification_of(work.scan))
     done = surveyed(work, place, executor, WindowFiles(about, place), bars, keep=True)
     write_results(done, about, place)
     return {

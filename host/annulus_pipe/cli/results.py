@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from annulus_pipe import hooks
 from annulus_pipe.cli.show import progress
 from annulus_pipe.job import Origin
-from annulus_pipe.qualification.certificate import HeadInUse
+from annulus_pipe.qualification.applicability import HeadInUse
 from annulus_pipe.qualification.quoting import Qualification
 from annulus_pipe.report import ScanAccount, keep_windows, prepare_folder, write, write_whole, write_window
 from annulus_pipe.report.summary import versions
@@ -71,11 +71,11 @@ class ReportContext:
         return replace(self, origin=replace(self.origin, observations=marked))
 
 
-def qualification_of(scan: Scan, certificate: Path | None) -> Qualification:
+def qualification_of(scan: Scan, certificate: Path | None = None, pod: Path | None = None) -> Qualification:
     """The files that vouch for a scan's head: those named, and where none is, the recording's own. Raises AnnulusError
     for one named that is none."""
     recorded = (scan.recording.configuration or {}) if scan.recording is not None else {}
-    return Qualification.read(certificate).over(Qualification.recorded(recorded.get("qualification")))
+    return Qualification.read(certificate, pod).over(Qualification.recorded(recorded.get("qualification")))
 
 
 def _in_use(origin: Origin, survey: Survey) -> HeadInUse:

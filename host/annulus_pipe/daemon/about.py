@@ -9,7 +9,7 @@ from annulus_pipe.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS
 from annulus_pipe.daemon.config import HeadConfig
 from annulus_pipe.daemon.controller_line import ControllerLine, lamp_numbers
 from annulus_pipe.daemon.evidence import versions
-from annulus_pipe.qualification.certificate import Applicability, HeadInUse
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.storage.calibration_file import fingerprint
 from annulus_pipe.untrusted import printable
 

@@ -30,7 +30,7 @@ from annulus_pipe.link.hardware import interlock_line, use_both_inputs
 from annulus_pipe.link.messages import InterlockFlag, Polarity
 from annulus_pipe.link.pins import pins_text
 from annulus_pipe.link.problems import too_old
-from annulus_pipe.qualification.certificate import Applicability
+from annulus_pipe.qualification.applicability import Applicability
 from annulus_pipe.stream.access import Doorkeeper
 from annulus_pipe.stream.frames import CHANNELS
 from annulus_pipe.vocabulary import AnnulusError

@@ -203,7 +203,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     ),
     "optics": ("lens", "slide", "tube", "calibrated_c"),
     "reference": ("sections_mm", "diameter_mm", "u_mm"),
-    "qualification": ("certificate",),
+    "qualification": ("certificate", "pod"),
     "sectors": ("air_pf", "coupling_ff", "ahead_mm"),
     "workers": ("count", "slots"),
     "log": ("file", "max_mb", "keep"),
@@ -236,7 +236,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     check_triggers(cameras)
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
     paint = _optional(data, "calibration", "colour")
-    certificate = _optional(data, "qualification", "certificate")
+    vouching = [_optional(data, "qualification", name) for name in _SECTIONS["qualification"]]
     workers, control = data.get("workers", {}), data.get("control", {})
     config = HeadConfig(
         cameras=cameras,
@@ -253,7 +253,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         provenance={} if calibration_file is None else provenance(load_sections(folder / calibration_file)),
         optics=Optics.from_dict(data["optics"]) if "optics" in data else None,
         references=sections_from(data["reference"]) if "reference" in data else (),
-        qualification=Qualification.read(None if certificate is None else folder / certificate),
+        qualification=Qualification.read(*(None if file is None else folder / file for file in vouching)),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),

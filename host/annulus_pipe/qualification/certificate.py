@@ -9,24 +9,13 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import date
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeVar
 
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse, ScopeCheck
 from annulus_pipe.qualification.precision import LIMIT, Interval
 from annulus_pipe.qualification.signature import Signature, canonical
-from annulus_pipe.untrusted import (
-    mapping,
-    number,
-    numbers,
-    parse_json,
-    printable,
-    read_file,
-    shown,
-    text,
-    whole,
-    within,
-)
+from annulus_pipe.untrusted import mapping, number, numbers, parse_json, read_file, shown, text, whole, within
 from annulus_pipe.vocabulary import AnnulusError
 
 FORMAT = "annulus-certificate/1"
@@ -36,27 +25,6 @@ ROWS_MAX, TEXT_MAX = 5000, 500
 DIAMETER_MARGIN = 0.02  # of a diameter, beyond the outermost pieces: pipes of one nominal size differ by as much
 KELVIN_MARGIN = 5.0  # K beyond the coldest and warmest run: what thermometers and a pipe's length differ by
 Row = TypeVar("Row")
-
-
-class Applicability(StrEnum):
-    """Whether a certificate speaks for a scan or a head as it is."""
-
-    APPLIES = "applies"
-    OPEN = "cannot be told"
-    DOES_NOT = "does not apply"
-
-
-@dataclass(frozen=True, slots=True)
-class HeadInUse:
-    """What a scan or a machine says of the head that is used; "" or None: it does not say. day : of the scan."""
-
-    head: str = ""
-    calibration: str = ""
-    firmware: str = ""
-    software: str = ""
-    diameter_mm: float | None = None
-    temperature_c: float | None = None
-    day: date | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,38 +42,21 @@ class CertificateScope:
 
     def standing(self, use: HeadInUse) -> tuple[Applicability, tuple[str, ...]]:
         """Whether it applies, and why not or what is not known; reasons against it come first."""
-        against, unknown = list[str](), list[str]()
+        found = ScopeCheck()
         if use.day is None:
-            unknown.append("the day is not known")
+            found.unknown.append("the day is not known")
         elif use.day > self.until:
-            against.append(f"it lapsed on {self.until}")
+            found.against.append(f"it lapsed on {self.until}")
         elif use.day < self.issued:
-            against.append(f"it is of {self.issued}, after the day of the scan")
-        for what, certified, used in (
-            ("head", self.head, use.head),
-            ("calibration", self.calibration, use.calibration),
-            ("firmware", self.firmware, use.firmware),
-            ("software", self.software, use.software),
-        ):
-            if not certified or not used:
-                who = "it does not say" if not certified else "the scan does not say"
-                unknown.append(f"{who} which {what}" + (f" ({certified})" if certified else ""))
-            elif certified != used:
-                against.append(f"it is of {what} {printable(certified)}, and this is {printable(used)}")
-        for what, unit, reach, margin, value in (
-            ("diameter", "mm", self.diameter_mm, DIAMETER_MARGIN * self.diameter_mm[1], use.diameter_mm),
-            ("temperature", "degC", self.temperature_c, KELVIN_MARGIN, use.temperature_c),
-        ):
-            if reach is None or value is None:
-                who = "its runs have no" if reach is None else "the scan has no"
-                unknown.append(f"{who} {what}" + ("" if reach is None else f" ({reach[0]:g} to {reach[1]:g} {unit})"))
-            elif not reach[0] - margin <= value <= reach[1] + margin:
-                against.append(
-                    f"it holds from {reach[0] - margin:.4g} to {reach[1] + margin:.4g} {unit}, and the {what} is "
-                    f"{value:.4g} {unit}"
-                )
-        verdict = Applicability.DOES_NOT if against else Applicability.OPEN if unknown else Applicability.APPLIES
-        return verdict, (*against, *unknown)
+            found.against.append(f"it is of {self.issued}, after the day of the scan")
+        found.same("head", self.head, use.head)
+        found.same("calibration", self.calibration, use.calibration)
+        found.same("firmware", self.firmware, use.firmware)
+        found.same("software", self.software, use.software)
+        margin = DIAMETER_MARGIN * self.diameter_mm[1]
+        found.within("diameter", "mm", self.diameter_mm, margin, use.diameter_mm)
+        found.within("temperature", "degC", self.temperature_c, KELVIN_MARGIN, use.temperature_c)
+        return found.standing()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from typing import Any
 
 from annulus_pipe.numeric.late import stats
 from annulus_pipe.numeric.rounding import MEASURE, digits, digits_k2
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse, ScopeCheck
 from annulus_pipe.qualification.hit_miss import (
     CONFIDENCE,
     CURVE_POINTS,
@@ -170,18 +171,14 @@ class Detectability:
                 lines += [f"depth: {one}" for one in sized.statement()]
         return tuple(lines)
 
-    def differs(self, head: str, version: str, bore_mm: float | None = None) -> tuple[str, ...]:
-        """Why it does not speak of such a scan, or why nobody can tell; empty where it does."""
-        found = []
-        for what, known, used in (("head", self.heads, head), ("software", self.versions, version)):
-            if not used or "" in known or not known:
-                found.append(f"the {'scan does' if not used else 'trials do'} not say which {what}")
-            elif known != (used,):
-                found.append(f"its trials are of {what} {', '.join(known)}, and this is {used}")
-        least, most = self.bore_mm
-        if bore_mm is not None and not BORE_LESS * least <= bore_mm <= BORE_MORE * most:
-            found.append(f"its pipes are {least:.1f} to {most:.1f} mm wide, and this is {bore_mm:.1f} mm")
-        return tuple(found)
+    def standing(self, use: HeadInUse) -> tuple[Applicability, tuple[str, ...]]:
+        """Whether it speaks for such a scan, and why not or what is not known."""
+        found = ScopeCheck()
+        for what, known, used in (("head", self.heads, use.head), ("software", self.versions, use.software)):
+            found.same(what, "" if "" in known else ", ".join(known), used)
+        reach = None if math.isnan(self.bore_mm[0]) else self.bore_mm
+        found.within("diameter", "mm", reach, 0.0 if reach is None else BORE_MARGIN * reach[1], use.diameter_mm)
+        return found.standing()
 
     def to_dict(self) -> dict[str, Any]:
         found = asdict(self)
@@ -222,7 +219,7 @@ class Detectability:
         )
 
 
-BORE_LESS, BORE_MORE = 0.95, 1.05  # of the pipes pulled through: a head's rings fall much the same in these
+BORE_MARGIN = 0.05  # of the pipes pulled through, beyond them: a head's rings fall much the same there
 _FALSE_CALLS = ("inspected_m", "per_100_m", "lower", "upper", "confidence")
 _LEFT_OUT = ("not_seen", "outside", "dug", "undecided")
 

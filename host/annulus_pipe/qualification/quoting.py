@@ -4,21 +4,20 @@ quoted = Qualification(certificate, study).quoted(use, anchored=False)
 quoted.accuracy.text        # "diameters keep ± 0.13 % ..", or "not established: .."
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from annulus_pipe.qualification.certificate import (
-    Applicability,
-    Certificate,
-    HeadInUse,
-    parse_certificate,
-    read_certificate,
-)
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse
+from annulus_pipe.qualification.certificate import Certificate, parse_certificate, read_certificate
+from annulus_pipe.qualification.pod import Detectability, read_pod
 from annulus_pipe.qualification.signature import canonical
 
+Read = TypeVar("Read")
+
 NOTHING = "not established"
+DETECTION = "probability of detection, of identification, sizes of defects, false calls"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +46,23 @@ class Quotation:
 
 @dataclass(frozen=True, slots=True)
 class QuotedStatements:
-    """accuracy : of diameters; percent : what they keep in 19 of 20, None where that is not established."""
+    """accuracy : of diameters; percent : what they keep in 19 of 20, None where that is not established. detection : of
+    each kind of defect that was laid, and of false calls; of none where nothing was."""
 
     accuracy: Quotation = field(default_factory=Quotation)
     percent: float | None = None
+    detection: tuple[tuple[str, Quotation], ...] = ((DETECTION, Quotation()),)
 
     def to_dict(self) -> dict[str, Any]:
-        return {"accuracy": self.accuracy.to_dict() | {"percent": self.percent}}
+        return {
+            "accuracy": self.accuracy.to_dict() | {"percent": self.percent},
+            "detection": [{"of": what} | one.to_dict() for what, one in self.detection],
+        }
+
+    @property
+    def rows(self) -> tuple[tuple[str, Quotation], ...]:
+        """All of them, by what they are of."""
+        return (("diameters", self.accuracy), *self.detection)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,28 +70,32 @@ class Qualification:
     """The files that a head has."""
 
     certificate: Certificate | None = None
+    pod: Detectability | None = None
 
     @classmethod
-    def read(cls, certificate: Path | None) -> "Qualification":
-        """Raises AnnulusError, one line, for a file that is none or was changed."""
-        return cls(None if certificate is None else read_certificate(certificate))
+    def read(cls, certificate: Path | None = None, pod: Path | None = None) -> "Qualification":
+        """Raises AnnulusError, one line, for a file that is none, or a certificate that was changed."""
+        return cls(
+            None if certificate is None else read_certificate(certificate), None if pod is None else read_pod(pod)
+        )
 
     @classmethod
     def recorded(cls, data: object) -> "Qualification":
         """As a recording's configuration has it, whoever wrote it: none of what was changed or is malformed."""
-        found = data.get("certificate") if isinstance(data, Mapping) else None
-        try:
-            return cls(None if found is None else parse_certificate(canonical(found)))
-        except (ValueError, TypeError):
-            return cls()
+        found = data if isinstance(data, Mapping) else {}
+        return cls(
+            _unless_wrong(lambda: parse_certificate(canonical(found["certificate"]))),
+            _unless_wrong(lambda: Detectability.from_dict(found["pod"])),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """For a recording's configuration."""
-        return {} if self.certificate is None else {"certificate": self.certificate.to_dict()}
+        files = {"certificate": self.certificate, "pod": self.pod}
+        return {name: file.to_dict() for name, file in files.items() if file is not None}
 
     def over(self, other: "Qualification") -> "Qualification":
         """Itself, and of the other what it lacks."""
-        return Qualification(self.certificate or other.certificate)
+        return Qualification(self.certificate or other.certificate, self.pod or other.pod)
 
     def state(self, use: HeadInUse) -> tuple[Applicability | None, str]:
         """For who looks at a head before a scan: whether its certificate speaks for it today, one line."""
@@ -96,14 +109,34 @@ class Qualification:
 
     def quoted(self, use: HeadInUse, *, anchored: bool) -> QuotedStatements:
         """What a report of such a scan states. anchored : a reference section in the scan says what drifted."""
-        if self.certificate is None:
-            return QuotedStatements()
-        certificate, accuracy = self.certificate, self.certificate.accuracy
-        standing, reasons = certificate.scope.standing(use)
-        whose = f" of {certificate.laboratory}" if certificate.laboratory else ""
-        scope = certificate.scope
-        source = f"certificate {certificate.number}{whose}, {scope.issued} to {scope.until}"
-        if standing is Applicability.DOES_NOT:
-            return QuotedStatements(Quotation(f"{NOTHING}: {reasons[0]}", source, standing, reasons))
-        percent = accuracy.U if anchored else accuracy.U_drift
-        return QuotedStatements(Quotation(certificate.statement(percent), source, standing, reasons), percent)
+        stated = QuotedStatements()
+        if self.certificate is not None:
+            scope, accuracy = self.certificate.scope, self.certificate.accuracy
+            whose = f" of {self.certificate.laboratory}" if self.certificate.laboratory else ""
+            source = f"certificate {self.certificate.number}{whose}, {scope.issued} to {scope.until}"
+            percent = accuracy.U if anchored else accuracy.U_drift
+            quoted = _quotation(self.certificate.statement(percent), source, scope.standing(use))
+            applies = quoted.standing is not Applicability.DOES_NOT
+            stated = replace(stated, accuracy=quoted, percent=percent if applies else None)
+        if self.pod is not None:
+            study, standing = self.pod, self.pod.standing(use)
+            source = f"study of detection of {study.created[:10]}, {len(study.pulls)} pulls"
+            lines = [(f"detection of {kind}", "; ".join(study.statement(kind))) for kind in study.kinds]
+            lines.append(("false calls", study.false_calls.statement()))
+            stated = replace(
+                stated, detection=tuple((what, _quotation(text, source, standing)) for what, text in lines)
+            )
+        return stated
+
+
+def _quotation(text: str, source: str, standing: tuple[Applicability, tuple[str, ...]]) -> Quotation:
+    """None of the numbers where they do not apply."""
+    verdict, reasons = standing
+    return Quotation(f"{NOTHING}: {reasons[0]}" if verdict is Applicability.DOES_NOT else text, source, *standing)
+
+
+def _unless_wrong(read: Callable[[], Read]) -> Read | None:
+    try:
+        return read()
+    except (ValueError, TypeError, LookupError):
+        return None

@@ -360,7 +360,7 @@ def _accuracy(survey: Survey, account: ScanAccount) -> dict[str, Any]:
         "reference": anchor(survey.scale, survey.diameter_mean_mm),
         "least_depth": quoted(survey.depth_limit_mm, MEASURE),
         "least_size": quoted(survey.size_limit_mm, EXTENT),
-        "quoted": [("diameters", account.stated.accuracy)],
+        "quoted": account.stated.rows,
         "open": list(_not_covered(survey, account)),
     }
 

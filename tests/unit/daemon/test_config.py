@@ -20,8 +20,10 @@ from annulus_pipe.daemon.controller_line import interlock_for, pins_for, stage_o
 from annulus_pipe.link.head import PING_NS
 from annulus_pipe.link.messages import Interlock, InterlockFlag
 from annulus_pipe.link.pins import AS_WIRED, pins_of
+from annulus_pipe.qualification.pod import pod_json
 from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.qualification.known_heads import signed_file
+from tests.unit.qualification.test_pod import study
 
 CALIBRATION = {
     "format": "annulus-calibration/1",
@@ -63,8 +65,9 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
         json.dumps({**CALIBRATION, "camera": {**CALIBRATION["camera"], "width": 1664, "height": 1232}})
     )
     signed_file(tmp_path)
+    (tmp_path / "pod.json").write_text(pod_json(study()))
     config = load_config(write(tmp_path, example))
-    assert config.qualification.certificate is not None
+    assert config.qualification.certificate is not None and config.qualification.pod is not None
     assert config.port == "/dev/ttyACM0" and config.lamps.ratio == 4 and config.timing.fps == 25
     assert config.record_folder == tmp_path / "scans"
     assert config.publish is not None and config.publish.keys is not None

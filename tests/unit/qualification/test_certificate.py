@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.budget import Contribution, budget
-from annulus_pipe.qualification.certificate import Applicability, HeadInUse, parse_certificate, read_certificate
+from annulus_pipe.qualification.certificate import parse_certificate, read_certificate
 from annulus_pipe.qualification.plan import StudyPlan
 from annulus_pipe.qualification.precision import components
 from annulus_pipe.qualification.signature import sign

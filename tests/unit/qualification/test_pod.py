@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.pod import Detectability, FalseCalls, detectability, pod_json, read_pod
 from annulus_pipe.qualification.sizes import plan_sizes, spools
 from annulus_pipe.qualification.trials import GATE_MM, Pull, Reported, Trial, Trials, TrialState, TrueDefect, match
@@ -127,10 +128,14 @@ def test_what_was_not_judged_is_counted_and_all_of_it_is_no_study() -> None:
 
 
 def test_it_speaks_of_its_own_head_program_and_width_of_pipe() -> None:
-    assert study().differs("7", "0.9", 150.0) == ()
-    assert "its trials are of head 7, and this is 8" in study().differs("8", "0.9")
-    assert "the scan does not say which software" in study().differs("7", "")
-    assert any("150.0 mm wide" in one for one in study().differs("7", "0.9", 100.0))
+    assert study().standing(HeadInUse("7", software="0.9", diameter_mm=150.0)) == (Applicability.APPLIES, ())
+    for use, standing, reason in (
+        (HeadInUse("8", software="0.9", diameter_mm=150.0), Applicability.DOES_NOT, "it is of head 7, and this is 8"),
+        (HeadInUse("7", diameter_mm=150.0), Applicability.OPEN, "the scan does not say which software (0.9)"),
+        (HeadInUse("7", software="0.9", diameter_mm=100.0), Applicability.DOES_NOT, "and the diameter is 100 mm"),
+    ):
+        found, reasons = study().standing(use)
+        assert found is standing and reason in reasons[0]
 
 
 def test_all_detected_says_a_share_and_no_size() -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from annulus_pipe.qualification.certificate import Applicability, HeadInUse
+from annulus_pipe.qualification.applicability import Applicability, HeadInUse
+from annulus_pipe.qualification.pod import pod_json
 from annulus_pipe.qualification.quoting import Qualification
 from annulus_pipe.vocabulary import AnnulusError
 from tests.unit.qualification.known_heads import CONDITIONS, made, signed_file
+from tests.unit.qualification.test_pod import study
 
 USE = HeadInUse("7", CONDITIONS.calibration, CONDITIONS.firmware, CONDITIONS.software, 152.5, 15.0, date(2027, 3, 1))
 
@@ -18,6 +20,7 @@ USE = HeadInUse("7", CONDITIONS.calibration, CONDITIONS.firmware, CONDITIONS.sof
 def test_without_a_file_nothing_is_established() -> None:
     stated = Qualification().quoted(USE, anchored=False)
     assert stated.accuracy.line == "not established" and stated.percent is None
+    assert [one.text for _, one in stated.rows] == ["not established"] * 2
 
 
 def test_a_certificate_is_quoted_where_it_applies(tmp_path: Path) -> None:
@@ -48,6 +51,24 @@ def test_a_recording_carries_it_and_a_changed_one_vouches_for_nothing(tmp_path: 
     assert Qualification.recorded(carried) == Qualification()
     for junk in (None, 7, {"certificate": 7}, {"certificate": {"content": {}}}, {"certificate": {"format": b"x"}}):
         assert Qualification.recorded(junk) == Qualification()
+
+
+def test_a_study_of_detection_is_quoted_kind_by_kind(tmp_path: Path) -> None:
+    file = tmp_path / "pod.json"
+    file.write_text(pod_json(study()))
+    files = Qualification.read(pod=file)
+    use = HeadInUse("7", software="0.9", diameter_mm=150.0)
+    stated = dict(files.quoted(use, anchored=False).detection)
+    assert list(stated) == ["detection of loss", "false calls"]
+    assert stated["detection of loss"].text.startswith("a90/95 0.") and "ASTM E2862" in stated["detection of loss"].text
+    other = dict(files.quoted(replace(use, head="8"), anchored=False).detection)
+    assert {one.text for one in other.values()} == {"not established: it is of head 7, and this is 8"}
+    assert Qualification.recorded(json.loads(json.dumps(files.to_dict()))).quoted(
+        use, anchored=False
+    ).detection == tuple(stated.items())
+    both = Qualification.read(signed_file(tmp_path)).over(files)
+    assert both.pod is files.pod and both.certificate is not None
+    assert Qualification.recorded({"pod": {"format": 7}}) == Qualification()
 
 
 def test_what_stands_before_a_scan(tmp_path: Path) -> None:

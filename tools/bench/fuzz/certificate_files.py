@@ -6,7 +6,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from annulus_pipe.qualification.certificate import FILE, Certificate, HeadInUse, parse_certificate
+from annulus_pipe.qualification.applicability import HeadInUse
+from annulus_pipe.qualification.certificate import FILE, Certificate, parse_certificate
 from annulus_pipe.qualification.plan import plan_from, planned, read_plan, read_runs, runs_csv
 from annulus_pipe.qualification.quoting import Qualification
 from annulus_pipe.qualification.study import Conditions, GaugeReading, certified

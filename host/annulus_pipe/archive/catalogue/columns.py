@@ -110,6 +110,7 @@ SURVEYS: Sequence[CatalogueColumn] = [
     ),
     *_columns("text", certificate="what its head's certificate states of diameters, or why it states nothing"),
     *_columns("number", accuracy_percent="what diameters keep in 19 of 20 by that certificate; NULL: not established"),
+    *_columns("text", detection="what its head's study of detection states, or why it states nothing"),
     *_columns("number", temperature_c="of the pipe, degrees Celsius, as the job says"),
 ]
 

@@ -42,7 +42,8 @@ ID_DIGITS = 12  # hexadecimal; of 100 000 surveys two would share them once in 5
 CLOCK_SINCE = date(2020, 1, 1)  # a computer without a battery starts in 1970: no day of a scan before this
 YEARS = (1900, 2200)  # of a date that somebody typed
 CALIBRATED_MAX = 20_000  # characters
-KINDS_MAX = 20  # limits of a place that a verdict leaves open
+KINDS_MAX = 20  # limits of a place that a verdict leaves open; kinds of defects that a study has
+STATED_MAX = 20_000  # characters of what a study states of one kind
 OPEN_MAX = 200  # such places that are kept
 OUTSIDE = frozenset({"survey", "digest", "scan", "replaces", "results", "created_utc", "added_utc"})  # of the contents
 
@@ -177,6 +178,7 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         "accuracy_percent": None
         if accuracy.get("percent") is None
         else within(accuracy["percent"], "qualification.accuracy.percent", 0.0, 1e6),
+        "detection": _detection(qualification.get("detection")),
         "limits": _text(conformity.get("title"), "conformity.title"),
         "decision": _text(conformity.get("decision"), "conformity.decision"),
         "not_established": _open_places(conformity.get("not_established")),
@@ -186,6 +188,19 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         "warning_count": _count(summary.get("warnings")),
     }
     return row, defects, [_feature(i, one) for i, one in enumerate(found, 1)]
+
+
+def _detection(found: object) -> str | None:
+    """What of each kind is stated, in one text."""
+    if found is None:
+        return None
+    if not isinstance(found, list) or len(found) > KINDS_MAX:
+        raise ValueError(f"qualification.detection must be a list of at most {KINDS_MAX}")
+    rows = [mapping(one, f"qualification.detection[{i}]") for i, one in enumerate(found)]
+    texts = [
+        [text(one.get(name), f"qualification.detection.{name}", STATED_MAX) for name in ("of", "text")] for one in rows
+    ]
+    return "; ".join(": ".join(one) for one in texts)
 
 
 def _open_places(found: object) -> str | None:
