@@ -103,10 +103,12 @@ def _claim(tolerance_mm: float | None, pod: Path | None, certainty: float | None
 
 def _not_of(pod: Path, survey: "SurveyResults") -> list[str]:
     """Why what a study of detection states may not be claimed of this survey."""
+    from annulus_pipe.qualification.applicability import HeadInUse
     from annulus_pipe.qualification.pod import read_pod
 
     pull = survey.pull
-    return [f"{pod.name}: {why}" for why in read_pod(pod).differs(pull.head, pull.version, 2 * pull.bore_radius_mm)]
+    use = HeadInUse(pull.head, software=pull.version, diameter_mm=2 * pull.bore_radius_mm)
+    return [f"{pod.name}: {why}" for why in read_pod(pod).standing(use)[1]]
 
 
 def _results(folder: Path) -> "SurveyResults":
