@@ -11,7 +11,7 @@ import sys
 
 from tools.bench.table import Table
 
-TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "archive", "speed")
+TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "archive", "pod", "speed")
 
 
 HELP = {"-h", "--help"}

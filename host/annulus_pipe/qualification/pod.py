@@ -33,7 +33,8 @@ from annulus_pipe.qualification.signal_response import LEFT, MEASURED, RIGHT, Re
 from annulus_pipe.qualification.sizing import SizedPair, Sizing, size_errors
 from annulus_pipe.qualification.trials import JUDGED, KINDS, Trial, Trials, TrialState
 from annulus_pipe.qualification.validation import Proportion, proportion
-from annulus_pipe.untrusted import mapping, number, parse_json, read_file, shown, text, whole, within
+from annulus_pipe.untrusted import mapping, number, parse_json, printable, read_file, shown, whole, within
+from annulus_pipe.untrusted import text as raw_text
 from annulus_pipe.vocabulary import AnnulusError
 
 FORMAT = "annulus-pod/1"
@@ -215,7 +216,7 @@ class Detectability:
             heads,
             versions,
             (bore[0], bore[1]),
-            text(found.get("created"), "created", TEXT_MAX),
+            _time(_text(found.get("created"), "created")),
         )
 
 
@@ -343,7 +344,8 @@ def _sizing(its: Sequence[Trial]) -> Sizing:
     for one in its:
         if one.state is not TrialState.DETECTED or math.isnan(one.reported_depth_mm):
             continue
-        pair = SizedPair(one.reported_depth_mm, one.truth.depth_mm, at_least=one.at_least)
+        sure = None if math.isnan(one.truth.depth_u_mm) else one.truth.depth_u_mm
+        pair = SizedPair(one.reported_depth_mm, one.truth.depth_mm, sure, one.at_least)
         before = worst.get(_target(one))
         if before is None or _off(pair) > _off(before):
             worst[_target(one)] = pair
@@ -355,7 +357,7 @@ def _off(pair: SizedPair) -> float:
 
 
 def _row(found: Mapping[str, Any], what: str) -> PodRow:
-    dimension, where = (text(found.get(name), f"{what}.{name}", TEXT_MAX) for name in ("dimension", "where"))
+    dimension, where = (_text(found.get(name), f"{what}.{name}") for name in ("dimension", "where"))
     if dimension not in DIMENSIONS or where not in WHERE:
         raise ValueError(
             f"{what} is of {shown(dimension)}, {shown(where)}; expected a dimension and a place that are known"
@@ -372,7 +374,7 @@ def _row(found: Mapping[str, Any], what: str) -> PodRow:
 
 
 def _fit(found: Mapping[str, Any], what: str) -> PodFit:
-    method, axis, why = (text(found.get(name), f"{what}.{name}", TEXT_MAX) for name in ("method", "axis", "why"))
+    method, axis, why = (_text(found.get(name), f"{what}.{name}") for name in ("method", "axis", "why"))
     laid, trials, detected = (
         whole(found.get(name), f"{what}.{name}", 0, COUNT_MAX) for name in ("laid", "trials", "detected")
     )
@@ -408,7 +410,7 @@ def _curve(found: Mapping[str, Any], what: str) -> Curve:
 
 def _line(found: Mapping[str, Any], what: str) -> ResponseLine:
     names = ("intercept", "slope", "sigma", "decision_mm")
-    axes = [text(found.get(name), f"{what}.{name}", TEXT_MAX) for name in ("true_axis", "reported_axis")]
+    axes = [_text(found.get(name), f"{what}.{name}") for name in ("true_axis", "reported_axis")]
     if not set(axes) <= {str(one) for one in SizeAxis}:
         raise ValueError(f"{what} has axes {shown(axes)}, expected {' or '.join(SizeAxis)}")
     intercept, slope, sigma, decision = (number(found.get(name), f"{what}.{name}", MM_MAX) for name in names)
@@ -416,14 +418,23 @@ def _line(found: Mapping[str, Any], what: str) -> ResponseLine:
 
 
 def _kind(found: Mapping[str, Any]) -> str:
-    kind = text(found.get("kind"), "kind", TEXT_MAX)
+    kind = _text(found.get("kind"), "kind")
     if kind not in KINDS:
         raise ValueError(f"kind is {shown(kind)}, expected {' or '.join(KINDS)}")
     return kind
 
 
 def _names(found: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    return tuple(text(one, name, TEXT_MAX) for one in _list(found, name, NAMES_MAX))
+    return tuple(_text(one, name) for one in _list(found, name, NAMES_MAX))
+
+
+def _text(value: object, what: str) -> str:
+    return printable(raw_text(value, what, TEXT_MAX))
+
+
+def _time(iso: str) -> str:
+    datetime.fromisoformat(iso)  # ValueError
+    return iso
 
 
 def _list(found: Mapping[str, Any], name: str, most: int) -> list[Any]:

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -37,13 +38,15 @@ TRUTH_COLUMNS = (
     "beside_joint",
     "pipe",
     "laid",
+    "depth_u_mm",
 )
 TRUTH_NEEDED = ("kind", "z_mm", "clock_deg", "depth_mm")
 REPORT_COLUMNS = ("kind", "z_mm", "clock_deg", "depth_mm", "depth_k2_mm", "length_mm", "arc_deg", "at_least", "state")
 REPORT_NEEDED = ("kind", "z_mm", "clock_deg")
 HIT_MISS_COLUMNS = ("kind", "depth_mm", "length_mm", "width_mm", "beside_joint", "detected", "reported_depth_mm")
 HIT_MISS_NEEDED = ("kind", "depth_mm", "detected")
-DIG = "dig"  # a column that makes a file a dig sheet: what was dug up because it was reported
+DIG = "dig"  # a column that makes a file a dig sheet: what was dug up because it was reported ..
+REPORTED_AS = re.compile(r"(D|\?)[0-9]+")  # .. and so do the names that a report gives to what it lists
 QUANTITIES = ("z", "clock", "depth", "length", "width", "arc", "reported", "distance", "chainage", "size")
 YES, NO = ("yes", "true", "1", "hit"), ("no", "false", "0", "miss")
 LISTED = ("listed", "undecided")
@@ -87,7 +90,9 @@ def truths_csv(truths: Sequence[TrueDefect]) -> str:
     for one in truths:
         numbers = [_cell(value) for value in (one.z_mm, one.clock_deg, one.depth_mm, one.length_mm, one.width_mm)]
         joint = {None: "", True: "yes", False: "no"}[one.beside_joint]
-        writer.writerow([one.name, one.kind, *numbers, joint, one.pipe, "yes" if one.laid else "no"])
+        writer.writerow(
+            [one.name, one.kind, *numbers, joint, one.pipe, "yes" if one.laid else "no", _cell(one.depth_u_mm)]
+        )
     return out.getvalue()
 
 
@@ -180,7 +185,8 @@ def _rows(rows: Sequence[Row], columns: Sequence[str], needed: Sequence[str]) ->
 
 
 def _truths(rows: Sequence[Row]) -> Iterator[TrueDefect]:
-    dug = any(DIG in one for one in rows)
+    named = [str(one.get("name", "")) for one in rows]
+    dug = any(DIG in one for one in rows) or all(REPORTED_AS.fullmatch(one) for one in named)
     names: set[tuple[str, str]] = set()
     for number, (row, where) in enumerate(_rows(rows, TRUTH_COLUMNS, TRUTH_NEEDED), start=1):
         one = _truth(row, where, str(number))
@@ -202,6 +208,7 @@ def _truth(row: Row, where: str, name: str = "") -> TrueDefect:
         _yes(row, "beside_joint", where),
         _text(row, "pipe", where),
         _yes(row, "laid", where) is not False,
+        _maybe(row, "depth_u_mm", where, 0.0, SIZE_MAX),
     )
 
 

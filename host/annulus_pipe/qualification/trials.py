@@ -54,8 +54,8 @@ JUDGED = (TrialState.DETECTED, TrialState.MISSED, TrialState.UNDECIDED)
 class TrueDefect:
     """One that is known. NaN where nobody measured it; width_mm along the circumference.
 
-    beside_joint : None where nobody said. laid : False of one that was dug up because a survey reported it: it tells of
-    sizes, and of detection nothing.
+    depth_u_mm : expanded uncertainty (k = 2) of depth_mm. beside_joint : None where nobody said. laid : False of one
+    that was dug up because a survey reported it: it tells of sizes, and of detection nothing.
     """
 
     name: str
@@ -68,6 +68,7 @@ class TrueDefect:
     beside_joint: bool | None = None
     pipe: str = ""
     laid: bool = True
+    depth_u_mm: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ TRUTH = st.builds(
     beside_joint=st.none() | st.booleans(),
     pipe=st.sampled_from(("", "spool A")),
     laid=st.booleans(),
+    depth_u_mm=MM | st.just(math.nan),
 )
 
 
@@ -98,6 +99,8 @@ def test_json_is_read_like_a_table(tmp_path: Path) -> None:
 
 def test_a_dig_sheet_is_of_what_was_reported(tmp_path: Path) -> None:
     (one,) = read_truths(written(tmp_path, f"{HEAD},dig\na,loss,1,2,3,4,5,dig 4\n"))
+    assert not one.laid
+    (one,) = read_truths(written(tmp_path, f"{HEAD}\nD3,loss,1,2,3,4,5\n"))  # as a report names its defects
     assert not one.laid
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from annulus_pipe.qualification.trial_files import read_truths
 from tools.bench.__main__ import main
 from tools.bench.blind.cloud import centred, errors
 from tools.bench.blind.draw import draw, limited
@@ -24,6 +25,7 @@ from tools.bench.blind.score import Number, is_not_established, score
 from tools.bench.blind.stations import station
 from tools.bench.blind.surface import Surface
 from tools.bench.blind.table import interval, markdown
+from tools.bench.blind.truths import write_truths
 
 SCENES = [draw(seed) for seed in range(40)]
 SMALL = Thing("pocket", 200.0, 20.0, 90.0, 20.0, 2.0, 0.5)
@@ -279,3 +281,21 @@ def test_what_povray_sees_is_the_true_wall_to_0_02_mm(model: str, tmp_path: Path
     surface = Surface(scene.pipe)
     off = np.abs(errors(surface, *surface.from_space(point)))
     assert keep.sum() > 3000 and np.percentile(off, 99.0) < 0.02
+
+
+def test_truths_of_a_drawn_pipe_are_what_the_product_matches(tmp_path: Path) -> None:
+    scene = scene_with(
+        SMALL,
+        replace(SMALL, z_mm=400.0, beside="joint"),
+        Thing("dent", 600.0, 60.0, 10.0, 60.0, 3.0),
+        Thing("joint", 900.0, 10.0),
+    )
+    write_truths(scene, tmp_path)
+    known = read_truths(tmp_path / "truths.csv")
+    assert [(one.kind, one.z_mm, one.beside_joint) for one in known] == [
+        ("loss", 200.0, False),
+        ("loss", 400.0, True),
+        ("bump", 600.0, False),
+    ]
+    assert known[0].width_mm == pytest.approx(math.radians(20.0) * 70.0, abs=0.01)
+    assert {one.pipe for one in known} == {f"blind {scene.seed}"}

@@ -18,6 +18,7 @@ from tools.bench.blind.results import read_results
 from tools.bench.blind.scan import LIGHTS, TRUTH, write_scan
 from tools.bench.blind.score import Score, score
 from tools.bench.blind.table import markdown, totals
+from tools.bench.blind.truths import write_truths
 from tools.bench.scenes.run import measure
 
 PIPES, CASES = 60, 10
@@ -73,7 +74,7 @@ def _asked(arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--light", choices=LIGHTS, default=LIGHTS[0], help="who draws, and as light goes there")
     parser.add_argument("--jobs", type=int, default=2, help="pipes worked on at a time")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, results, table.md and table.json")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, truths.csv, results and tables")
     parser.add_argument("--score-only", action="store_true", help="of what --keep has; nothing is drawn or surveyed")
     asked = parser.parse_args(arguments)
     asked.pipes = asked.pipes or str(PIPES if asked.of == "rings" else CASES)
@@ -111,8 +112,9 @@ def one_pipe(seed: int, folder: Path, score_only: bool, light: str = LIGHTS[0]) 
                 write_scan(draw(seed), scan, light)
             if not (out / "summary.json").is_file():
                 measure(scan, out, scan / "limits.toml")
-        truth = json.loads((scan / TRUTH).read_text(encoding="utf-8"))
-        return score(Scene.from_dict(truth), read_results(out))
+        scene = Scene.from_dict(json.loads((scan / TRUTH).read_text(encoding="utf-8")))
+        write_truths(scene, scan)
+        return score(scene, read_results(out))
 
     return guarded(seed, scored)
 

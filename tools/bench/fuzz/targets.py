@@ -45,6 +45,7 @@ from tools.bench.fuzz.certificate_files import certificate_case, certificate_rea
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
+from tools.bench.fuzz.pod_files import pod_case, pod_read
 from tools.bench.fuzz.recordings import mcap_case, mcap_read, packed_case
 from tools.bench.fuzz.rig_lines import rig_case, rig_read
 from tools.bench.fuzz.unity_files import unity_case, unity_read
@@ -431,4 +432,5 @@ TARGETS: dict[str, Target] = {
     "catalogue": Target(catalogue_case, catalogue_read),
     "certificate": Target(certificate_case, certificate_read, (ValueError,)),
     "unity": Target(unity_case, unity_read),
+    "pod": Target(pod_case, pod_read),
 }

@@ -1,0 +1,18 @@
+"""What both topics print: in how many of so many studies the stated a90/95 is at least the true a90."""
+
+from collections.abc import Sequence
+
+from tools.bench.table import Row
+
+STUDIES = 1000  # 95 % of so many is known to 0.7
+LEAST, MOST = 0.93, 0.97
+
+
+def row(what: str, bounds: Sequence[float | None], a90_mm: float, *, asked: bool = True) -> Row:
+    """bounds : of each study; None where it was not stated, which is no wrong statement."""
+    right = sum(one is None or one >= a90_mm for one in bounds) / len(bounds)
+    stated = sum(one is not None for one in bounds)
+    said = f"{100 * right:.1f} %" + ("" if stated == len(bounds) else f", stated in {stated} of {len(bounds)}")
+    if not asked:
+        return Row(what, "-", "-", said)
+    return Row(what, "-", f"{100 * LEAST:.0f} to {100 * MOST:.0f} %", said, LEAST <= right <= MOST)
