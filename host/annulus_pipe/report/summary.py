@@ -203,7 +203,7 @@ def _conformity(verdict: Verdict) -> dict[str, Any]:
 
 
 def _hole(place: Unjudged) -> dict[str, Any]:
-    """usual: every scan has such, a rod's strip or an end."""
+    """usual: every scan has such, a rod's strip or an end. more: it stands for so many that are too many to list."""
     return {
         "z_from_mm": stored(place.z_from_mm),
         "z_to_mm": stored(place.z_to_mm),
@@ -212,6 +212,7 @@ def _hole(place: Unjudged) -> dict[str, Any]:
         "clock_from_to": list(place.clock_range),
         "reason": place.reason,
         "usual": place.usual,
+        **({"more": place.more} if place.more else {}),
     }
 
 

@@ -24,6 +24,7 @@ from annulus_pipe.vocabulary import AnnulusError
 FORMAT = "annulus-summary/1"
 SUMMARY, STATIONS = "summary.json", "stations.csv"
 JSON_MAX, CSV_MAX = 1 << 27, 1 << 28  # bytes
+MANY_MAX = 1 << 31  # places that one row stands for
 PLACES_MAX, STATIONS_MAX = 100_000, 2_000_000  # stations: CSV_MAX of them; 4 mm apart they are 8 km
 TEXT_MAX = 2000
 MM_MAX = 1e8
@@ -231,7 +232,9 @@ def places(summary: Mapping[str, Any], name: str) -> tuple[ListedPlace, ...]:
 
 
 def unseen(summary: Mapping[str, Any]) -> tuple[UnseenStretch, ...]:
-    """What the scan did not see. Raises ValueError, also for a summary of before that was listed."""
+    """What the scan did not see, but for the smallest of a scan that has too many to list: the row that stands for them
+    reaches from the first to the last, and most of the wall between was seen. Raises ValueError, also for a summary of
+    before that was listed."""
     found = summary.get("not_seen")
     if found is None:
         raise ValueError("it does not list what was not seen: an older annulus made it, reconstruct the scan again")
@@ -240,6 +243,8 @@ def unseen(summary: Mapping[str, Any]) -> tuple[UnseenStretch, ...]:
     out = []
     for i, one in enumerate(found):
         hole = mapping(one, f"not_seen, entry {i + 1},")
+        if whole(hole.get("more", 0), f"not_seen[{i}].more", 0, MANY_MAX):
+            continue
         first, last = (
             within(hole.get(end), f"not_seen[{i}].{end}", -MM_MAX, MM_MAX) for end in ("z_from_mm", "z_to_mm")
         )

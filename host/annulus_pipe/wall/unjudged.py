@@ -46,7 +46,8 @@ OF_ROWS = ("joint", "gap", "water", "deposit")
 @dataclass(frozen=True, slots=True)
 class Unjudged:
     """One place. kinds : of limits (sections of limits.toml) that were not judged there. clock_deg : its middle. most :
-    what there may be, mm of depth or percent of ovality; infinite where nothing says. usual : every scan has such."""
+    what there may be, mm of depth or percent of ovality; infinite where nothing says. usual : every scan has such.
+    more : how many places it stands for that are too many to list; its ends are those of all, and most lies between."""
 
     kinds: tuple[str, ...]
     reason: str
@@ -56,6 +57,7 @@ class Unjudged:
     arc_deg: float = 360.0
     most: float = math.inf
     usual: bool = False
+    more: int = 0
 
     @property
     def is_hole(self) -> bool:
@@ -393,6 +395,7 @@ def _bounded(found: Sequence[Unjudged]) -> tuple[Unjudged, ...]:
                     z_from_mm=min(one.z_from_mm for one in rest),
                     z_to_mm=max(one.z_to_mm for one in rest),
                     most=max(one.most for one in rest),
+                    more=len(rest),
                 )
             )
     return tuple(sorted(out, key=lambda one: (one.z_from_mm, one.clock_deg)))
