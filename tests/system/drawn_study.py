@@ -40,9 +40,21 @@ def fill_in(runs: Path, bias_percent: float = -0.18, seed: int = 44, stated: boo
         writer.writerows(rows)
 
 
-def write_results(folder: Path, diameter_mm: float, job: Mapping[str, Any]) -> None:
+def listed(z_mm: float, clock_deg: float, depth_mm: float, k2_mm: float = 0.08) -> dict[str, Any]:
+    """A loss of 20 by 20 mm, as summary.json lists it."""
+    place = {"kind": "loss", "z_mm": z_mm, "clock_deg": clock_deg, "length_mm": 20.0, "arc_deg": 15.0}
+    return place | {"depth_mm": depth_mm, "depth_k2_mm": k2_mm, "floor_seen": True}
+
+
+def write_results(
+    folder: Path,
+    diameter_mm: float,
+    job: Mapping[str, Any],
+    defects: Sequence[Mapping[str, Any]] = (),
+    stations: int = STATIONS,
+) -> None:
     folder.mkdir(parents=True)
-    end = FIRST_MM + STATIONS * STEP_MM
+    end = FIRST_MM + stations * STEP_MM
     summary = {
         "format": FORMAT,
         "job": dict(job),
@@ -52,7 +64,11 @@ def write_results(folder: Path, diameter_mm: float, job: Mapping[str, Any]) -> N
         "scanned_mm": {"from": FIRST_MM, "to": end, "length": end - FIRST_MM},
         "diameter_mm": {"mean": diameter_mm, "nominal": 152.4},
         "scale": {"common_k2_percent": 0.72},
-        "stations": STATIONS,
+        "stations": stations,
+        "limits": {"depth_mm": 0.38, "size_mm": 3.0, "ovality_percent": 0.75},
+        "defects": list(defects),
+        "undecided": [],
+        "not_seen": [],
         "versions": {"annulus": "0.1.0"},
     }
     (folder / "summary.json").write_text(json.dumps(summary))
@@ -60,7 +76,7 @@ def write_results(folder: Path, diameter_mm: float, job: Mapping[str, Any]) -> N
     with (folder / "stations.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, STATION_COLUMNS, lineterminator="\n")
         writer.writeheader()
-        for i in range(STATIONS):
+        for i in range(stations):
             ends = {"min": -0.02, "mean": 0.0, "max": 0.02}
             sizes = {f"diameter_{name}_mm": f"{diameter_mm + off:.4f}" for name, off in ends.items()}
             writer.writerow(values | sizes | {"z_mm": FIRST_MM + (i + 0.5) * STEP_MM})
