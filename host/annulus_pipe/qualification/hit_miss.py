@@ -268,6 +268,8 @@ def _unfit(size: FloatArray, hit: FloatArray, laid: int) -> str:
         return "all were detected: no curve can be fitted, smaller ones would have to be laid"
     if not hit.any():
         return "none was detected: no curve can be fitted, larger ones would have to be laid"
+    if size.min() == size.max():
+        return "all laid were of one size: it says nothing of others"
     if size[hit == 0].max() <= size[hit == 1].min():
         return "hits and misses do not overlap: a curve of any steepness fits, more would have to be laid between"
     return ""

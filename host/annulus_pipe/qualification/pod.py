@@ -99,9 +99,13 @@ class FalseCalls:
         if math.isnan(self.inspected_m):
             return "false calls: not established, the trials do not say how much was inspected"
         return (
-            f"false calls: {self.count} in {self.inspected_m:.3g} m, {self.per_100_m:.2g} per 100 m"
-            f" ({self.lower:.2g} to {self.upper:.2g}, {self.confidence:.0%} confidence)"
+            f"false calls: {self.count} in {self.inspected_m:.3g} m, {_rate(self.per_100_m)} per 100 m"
+            f" ({_rate(self.lower)} to {_rate(self.upper)}, {self.confidence:.0%} confidence)"
         )
+
+
+def _rate(per_100_m: float) -> str:
+    return f"{per_100_m:.0f}" if per_100_m >= 100.0 else f"{per_100_m:.2g}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from annulus_pipe.report.sheet import minute, sheet
 
 TEMPLATE = "pod.html.j2"
 PANEL_IN = 3.3  # height of a picture
+ROOM = 0.7  # of the largest size laid: left of it a90/95's own name has room beside its line
 SCATTER = 0.025  # of POD: marks of hits and misses are spread by it, or many would be one
 COLOUR = {"loss": LOSS_RED, "bump": BUMP_BLUE}
 
@@ -122,7 +123,9 @@ def _draw_pod(axes: Any, fit: PodFit, trials: Sequence[tuple[float, bool]], colo
     if fit.a9095_mm is not None:
         axes.plot([fit.a9095_mm] * 2, [0, POD], color=INK, lw=0.9)
         text = f"a90/95 {digits_k2(fit.a9095_mm, MEASURE)}"
-        axes.text(fit.a9095_mm, 0.06, f" {text} ", fontsize=8.5, ha="left" if 2 * fit.a9095_mm < fit.to_mm else "right")
+        right = fit.a9095_mm < ROOM * fit.to_mm  # of the line no curve is so low, and no miss so high
+        height, side = (0.45, "left") if right else (0.06, "right")
+        axes.text(fit.a9095_mm, height, f" {text} ", fontsize=8.5, ha=side)
     else:
         axes.text(0.5, 0.5, "a90/95\nnot established", transform=axes.transAxes, fontsize=8.5, color=FAINT, ha="center")
     axes.set_ylim(-0.04, 1.04)
@@ -174,7 +177,8 @@ def _depth(found: Detectability, kind: str, its: Sequence[Trial]) -> bytes:
     for axes in (left, right):
         axes.grid(color=INK, alpha=0.10, lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3, frameon=False, fontsize=7.5, borderaxespad=0.1)
+        corner = {"loc": "lower left", "bbox_to_anchor": (0, 1.0), "borderaxespad": 0.1}
+        axes.legend(**corner, ncols=3 if axes is left else 2, frameon=False, fontsize=7.5)
     return png(figure)
 
 
