@@ -1,4 +1,4 @@
-"""ASTM E691's own study, glucose in serum: its data as NIST publishes them, statistics by NIST's definitions of E691."""
+"""ASTM E691's own study, glucose in serum: data as NIST publishes them, statistics by NIST's definitions."""
 
 import json
 from pathlib import Path
