@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus_pipe.qualification.trials import KINDS, Pull, Reported, Trial, Trials, TrialState, TrueDefect, UnseenPlace
+from annulus_pipe.qualification.trials import KINDS, Pull, Reported, Trial, Trials, TrialState, TrueDefect
 from annulus_pipe.untrusted import mapping, parse_json, printable, read_file, shown, whole, within
 from annulus_pipe.untrusted import text as checked_text
 from annulus_pipe.vocabulary import AnnulusError
@@ -97,6 +97,8 @@ def truths_csv(truths: Sequence[TrueDefect]) -> str:
 
 
 def trials_json(trials: Trials) -> str:
+    """All but what the surveys did not see, which has done its work."""
+
     def plain(one: Any) -> Any:
         if isinstance(one, Mapping):
             return {name: plain(value) for name, value in one.items()}
@@ -106,7 +108,7 @@ def trials_json(trials: Trials) -> str:
 
     found = {
         "format": FORMAT,
-        "pulls": [asdict(one) for one in trials.pulls],
+        "pulls": [asdict(replace(one, holes=(), seen=None)) for one in trials.pulls],
         "trials": [asdict(one) for one in trials.trials],
         "false_calls": [asdict(one) | {"pull": pull} for pull, one in trials.false_calls],
         "undecided_elsewhere": trials.undecided_elsewhere,
@@ -259,19 +261,12 @@ def _pull(found: Any, what: str) -> Pull:
     first, last = (_number(row, name, what, -MM_MAX, MM_MAX) for name in ("from_mm", "to_mm"))
     if last < first:
         raise ValueError(f"{what} ends at {last:g} mm, before it begins at {first:g}")
-    holes = [
-        UnseenPlace(*(_number(mapping(one, what), name, f"{what}, hole {i}", -MM_MAX, MM_MAX) for name in _HOLE))
-        for i, one in enumerate(_list(row, "holes", ROWS_MAX), start=1)
-    ]
     name, pipe, head, version, date = (_text(row, one, what) for one in ("name", "pipe", "head", "version", "date"))
     radius, limit = (
         _number(row, "bore_radius_mm", what, 1.0, SIZE_MAX),
         _maybe(row, "depth_limit_mm", what, 0.0, SIZE_MAX),
     )
-    return Pull(name, pipe, first, last, radius, limit, head, version, date, tuple(holes))
-
-
-_HOLE = ("z_from_mm", "z_to_mm", "clock_deg", "arc_deg")
+    return Pull(name, pipe, first, last, radius, limit, head, version, date)
 
 
 def _trial(found: Any, what: str) -> Trial:

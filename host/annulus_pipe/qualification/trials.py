@@ -11,14 +11,14 @@ were missed would raise the probability of detection. Nothing here knows the ben
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from annulus_pipe.numeric.arrays import FloatArray, IntArray
+from annulus_pipe.numeric.arrays import BoolArray, FloatArray, IntArray
 from annulus_pipe.numeric.late import optimize
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -29,8 +29,10 @@ GATE_MM = 25.0
 KIND_APART = 1.0  # what another kind adds to the square of a distance in gates: it decides between near ties only
 UNDECIDED_APART = 0.5  # .. and a place that was listed without a name
 CLUSTER_MAX = 4_000_000  # pairs of one group of neighbours: 2000 truths within each other's gates are a mistake
-HIDDEN_PART = 0.5  # of a truth's own footprint: with as much of it in holes it cannot be judged
-FOOTPRINT_POINTS = 9  # along and round, by which that part is measured
+# The wall about a truth, FRAME_MM wide: with more of it unseen it lies in a hole of the survey. Its own footprint says
+# nothing of that: a rim hides up to 0.7 of a pocket 3 mm deep and 20 long, and nothing before or beside it.
+FRAME_MM, HIDDEN_PART = 10.0, 0.5
+FRAME_STEPS = 12  # along and round, by which that part is measured
 UNIT_PART = 0.7  # of the pairs: as many of which agree by another unit, and the unit is wrong
 UNIT_OFF = 1.15  # within which a ratio of depths is that of two units; an inch is 25.4 times off
 WHOLE_CIRCLE_DEG = 345.0  # an arc that goes all round: its clock says nothing
@@ -97,8 +99,28 @@ class UnseenPlace:
 
 
 @dataclass(frozen=True, slots=True)
+class SeenWall:
+    """Which cells of a survey's map were seen: (Z, A) bool, rows step_mm apart from first_mm on, columns clockwise from
+    first_deg on."""
+
+    cells: BoolArray
+    first_mm: float
+    step_mm: float
+    first_deg: float = 0.0
+
+    def at(self, z_mm: FloatArray, clock_deg: FloatArray) -> BoolArray:
+        """Of places (N,); False beyond its ends."""
+        rows, columns = self.cells.shape
+        row = np.rint((z_mm - self.first_mm) / self.step_mm).astype(np.int64)
+        column = np.rint((clock_deg - self.first_deg) % 360.0 * columns / 360.0).astype(np.int64) % columns
+        inside = (row >= 0) & (row < rows)
+        return np.asarray(inside & self.cells[np.clip(row, 0, rows - 1), column])
+
+
+@dataclass(frozen=True, slots=True)
 class Pull:
-    """One survey of one pipe. depth_limit_mm : the least depth it lists; NaN where it does not say."""
+    """One survey of one pipe. depth_limit_mm : the least depth it lists; NaN where it does not say. holes, seen : what
+    it did not see, as places or by its map."""
 
     name: str
     pipe: str
@@ -110,6 +132,7 @@ class Pull:
     version: str = ""
     date: str = ""
     holes: tuple[UnseenPlace, ...] = ()
+    seen: SeenWall | None = field(default=None, compare=False, repr=False)
 
     @property
     def inspected_mm(self) -> float:
@@ -278,12 +301,13 @@ def _state(truth: TrueDefect, reported: Reported | None, pull: Pull) -> TrialSta
 
 
 def hidden_part(truth: TrueDefect, pull: Pull) -> float:
-    """How much of a truth's footprint lies in holes of the survey, 0..1."""
+    """How much of the wall about a truth was not seen, 0..1. It is asked of every truth, reported or not."""
     length, width = (0.0 if math.isnan(one) else one for one in (truth.length_mm, truth.width_mm))
-    arc = min(math.degrees(width / pull.bore_radius_mm), 360.0)
-    steps = (np.arange(FOOTPRINT_POINTS) + 0.5) / FOOTPRINT_POINTS - 0.5
-    z, clock = (one.ravel() for one in np.meshgrid(truth.z_mm + steps * length, truth.clock_deg + steps * arc))
-    hidden = np.zeros(z.shape, bool)
+    steps = (np.arange(FRAME_STEPS) + 0.5) / FRAME_STEPS - 0.5
+    z, across = (one.ravel() for one in np.meshgrid(steps * (length + 2 * FRAME_MM), steps * (width + 2 * FRAME_MM)))
+    about = (np.abs(z) > length / 2) | (np.abs(across) > width / 2)
+    z, clock = truth.z_mm + z[about], truth.clock_deg + np.degrees(across[about] / pull.bore_radius_mm)
+    hidden = np.zeros(z.shape, bool) if pull.seen is None else ~pull.seen.at(z, clock)
     for one in pull.holes:
         away = np.abs((clock - one.clock_deg + 180.0) % 360.0 - 180.0)
         hidden |= (z >= one.z_from_mm) & (z <= one.z_to_mm) & (away <= one.arc_deg / 2)

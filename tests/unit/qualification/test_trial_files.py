@@ -16,7 +16,7 @@ from annulus_pipe.qualification.trial_files import (
     trials_json,
     truths_csv,
 )
-from annulus_pipe.qualification.trials import Pull, Reported, Trial, Trials, TrialState, TrueDefect, UnseenPlace
+from annulus_pipe.qualification.trials import Pull, Reported, Trial, Trials, TrialState, TrueDefect
 from annulus_pipe.vocabulary import AnnulusError
 
 HEAD = "name,kind,z_mm,clock_deg,depth_mm,length_mm,width_mm"
@@ -53,7 +53,7 @@ def test_truths_come_back_as_they_were_written(tmp_path_factory: pytest.TempPath
 @settings(max_examples=40, deadline=None)
 @given(st.lists(TRUTH, max_size=5), st.sampled_from(list(TrialState)), MM | st.just(math.nan), st.booleans())
 def test_trials_come_back_as_they_were_written(truths: list, state: TrialState, depth: float, at_least: bool) -> None:
-    pull = Pull("one", "spool A", 0.0, 3000.0, 75.0, 0.5, "7", "1.0", "2026-11-29", (UnseenPlace(1.0, 2.0, 3.0, 4.0),))
+    pull = Pull("one", "spool A", 0.0, 3000.0, 75.0, 0.5, "7", "1.0", "2026-11-29")
     trials = tuple(Trial(one, "one", state, "loss", depth, math.nan, at_least, 0.5) for one in truths)
     found = Trials(trials, (pull,), (("one", Reported("loss", 5.0, 6.0, 0.7, listed=True)),), 2, 1)
     assert repr(trials_from(json.loads(trials_json(found)))) == repr(found)

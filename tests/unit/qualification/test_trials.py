@@ -12,6 +12,7 @@ from annulus_pipe.qualification.trials import (
     GATE_MM,
     Pull,
     Reported,
+    SeenWall,
     TrialState,
     TrueDefect,
     UnseenPlace,
@@ -92,6 +93,16 @@ def test_what_lies_in_a_hole_is_left_out_though_it_was_reported() -> None:
     assert found.trials[0].state is TrialState.NOT_SEEN and not found.false_calls
     assert states([laid(500.0, 150.0)], [], hidden) == [TrialState.MISSED]
     assert hidden_part(laid(550.0), hidden) == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_a_defects_own_rim_hides_is_no_hole() -> None:
+    cells = np.ones((1500, 360), bool)
+    seen = SeenWall(cells, 0.0, 2.0)
+    cells[246:258, 70:110] = False  # 492 to 514 mm: most of the pocket at 500, and the wall behind it
+    assert states([laid(500.0)], [listed(500.0)], replace(PULL, seen=seen)) == [TrialState.DETECTED]
+    cells[:, 70:110] = False  # a rod's strip
+    assert states([laid(500.0)], [listed(500.0)], replace(PULL, seen=seen)) == [TrialState.NOT_SEEN]
+    assert states([laid(500.0, 150.0)], [listed(500.0, 150.0)], replace(PULL, seen=seen)) == [TrialState.DETECTED]
 
 
 def test_what_was_not_scanned_is_left_out() -> None:
