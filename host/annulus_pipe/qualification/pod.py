@@ -286,10 +286,6 @@ def pod_json(found: Detectability) -> str:
     return json.dumps(found.to_dict(), indent=1, allow_nan=False) + "\n"
 
 
-def _rate(value: float) -> str:
-    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
-
-
 def _rows(kind: str, judged: Sequence[Trial], axis: SizeAxis | None) -> Iterator[PodRow]:
     for dimension in DIMENSIONS:
         for where, beside in WHERE.items():

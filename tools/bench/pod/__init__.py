@@ -9,5 +9,4 @@ TABLE = Table(
     "Probability of detection: coverage of a90/95 in simulated studies",
     {"hit_miss": "By hits and misses (ASTM E2862)", "signal_response": "By reported depths (ASTM E3023)"},
     Path(__file__).parent,
-    "python -m tools.bench pod",
 )
