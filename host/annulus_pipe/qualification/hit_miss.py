@@ -33,6 +33,7 @@ from annulus_pipe.numeric.late import optimize, special, stats
 from annulus_pipe.qualification.validation import proportion
 from annulus_pipe.vocabulary import AnnulusError
 
+HIT_MISS = "ASTM E2862"
 TARGETS_ASKED = 60  # MIL-HDBK-1823A, 4.5.2.2 b: "at least 60 targeted sites" for hits and misses
 TARGETS_LEAST = 20  # below, no curve is fitted: r* was tried from 30 on (tools/bench, topic pod)
 POD, CONFIDENCE = 0.9, 0.95
@@ -203,9 +204,9 @@ def fit_hit_miss(
     if size.shape != hit.shape or not np.all(np.isfinite(size) & (size > 0)):
         raise AnnulusError("a size of a defect is not a positive number of mm. Expected one for every trial.")
     if not len(size):
-        return PodFit("ASTM E2862", 0, 0, 0, math.nan, math.nan, why="no defect of this kind was laid and judged")
+        return PodFit(HIT_MISS, 0, 0, 0, math.nan, math.nan, why="no defect of this kind was laid and judged")
     which, weight = shared(target, len(size))
-    none = PodFit("ASTM E2862", len(np.unique(which)), len(size), int(hit.sum()), float(size.min()), float(size.max()))
+    none = PodFit(HIT_MISS, len(np.unique(which)), len(size), int(hit.sum()), float(size.min()), float(size.max()))
     none = replace(none, least=least_pods(size, hit, which))
     why = _unfit(size, hit, none.laid)
     if why:

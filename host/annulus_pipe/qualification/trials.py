@@ -169,10 +169,19 @@ class Trials:
     of_other_kinds: int = 0
 
     def joined(self, other: "Trials") -> "Trials":
-        """With those of another pull. AnnulusError where both have the same."""
+        """With those of another pull. AnnulusError where both have the same, or differ in what one truth is."""
         twice = {one.name for one in self.pulls} & {one.name for one in other.pulls}
         if twice:
             raise AnnulusError(f"{min(twice)}: its trials are there twice. Expected each pull once.")
+        known = {(one.truth.pipe, one.truth.name): one.truth for one in self.trials if math.isfinite(one.truth.z_mm)}
+        for one in other.trials:
+            same = known.get((one.truth.pipe, one.truth.name), one.truth)
+            if (same.kind, same.z_mm, same.depth_mm) != (one.truth.kind, one.truth.z_mm, one.truth.depth_mm):
+                raise AnnulusError(
+                    f"{one.truth.name} of {one.truth.pipe or 'a pipe without a name'}: {same.depth_mm:g} mm deep at"
+                    f" {same.z_mm:.0f} mm, and in {one.pull} {one.truth.depth_mm:g} at {one.truth.z_mm:.0f}. Expected a"
+                    " name of its own for each spool."
+                )
         return Trials(
             self.trials + other.trials,
             self.pulls + other.pulls,

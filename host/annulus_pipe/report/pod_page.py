@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from annulus_pipe.numeric.rounding import MEASURE, digits, digits_k2
-from annulus_pipe.qualification.hit_miss import CONFIDENCE, POD, TARGETS_ASKED, PodFit, SizeAxis
+from annulus_pipe.qualification.hit_miss import CONFIDENCE, HIT_MISS, POD, TARGETS_ASKED, PodFit, SizeAxis
 from annulus_pipe.qualification.pod import CALLED, DIMENSIONS, Detectability, PodRow
 from annulus_pipe.qualification.sizing import Basis
 from annulus_pipe.qualification.trials import JUDGED, Trial, Trials, TrialState
@@ -49,7 +49,7 @@ def pod_page(found: Detectability, drawn: dict[str, bytes]) -> str:
         of=list(_of(found)),
         kinds=[(kind, CALLED.get(kind, kind), found.statement(kind)) for kind in found.kinds],
         calls=found.false_calls.statement(),
-        rows=[_cells(one) for one in found.rows],
+        rows=[cells for one in found.rows for cells in _cells(one)],
         asked=TARGETS_ASKED,
         confidence=f"{CONFIDENCE:.0%}",
         pictures=list(drawn),
@@ -74,15 +74,20 @@ def _of(found: Detectability) -> Iterator[tuple[str, str]]:
     )
 
 
-def _cells(row: PodRow) -> tuple[str, ...]:
-    fit = row.fit
+def _cells(row: PodRow) -> Iterator[tuple[str, ...]]:
+    yield row.kind, row.dimension, row.where, *_numbers(row.fit)
+    if row.response is not None:
+        yield row.kind, "reported depth", row.where, *_numbers(row.response)
+
+
+def _numbers(fit: PodFit) -> tuple[str, ...]:
     sizes = [_mm(one) for one in (fit.a50_mm, fit.a90_mm)]
     bound = "" if fit.a9095_mm is None else digits_k2(fit.a9095_mm, MEASURE)
     laid = f"{digits(fit.from_mm, MEASURE)} to {digits(fit.to_mm, MEASURE)}" if fit.laid else ""
     more = fit.why if fit.why else f"in {fit.axis}"
-    if fit.laid < TARGETS_ASKED and fit.a9095_mm is not None:
+    if fit.laid < TARGETS_ASKED and fit.a9095_mm is not None and fit.method == HIT_MISS:
         more += f"; {TARGETS_ASKED} are asked for"
-    return row.kind, row.dimension, row.where, str(fit.laid), laid, str(fit.detected), *sizes, bound, more
+    return str(fit.laid), laid, str(fit.detected), *sizes, bound, more
 
 
 def _mm(value: float | None) -> str:

@@ -116,6 +116,9 @@ def test_passing_a_spool_again_makes_nobody_surer_of_its_sizes() -> None:
     assert once.fit.a9095_mm is not None and twice.fit.a9095_mm == pytest.approx(once.fit.a9095_mm, rel=1e-4)
     with pytest.raises(AnnulusError, match="its trials are there twice"):
         one.joined(one)
+    elsewhere = match(truths(59), [], Pull("pull 3", "spool A", 0.0, 20_000.0, 75.0))
+    with pytest.raises(AnnulusError, match="Expected a name of its own for each spool"):
+        one.joined(elsewhere)
 
 
 def test_digs_tell_of_sizes_and_of_detection_nothing() -> None:
