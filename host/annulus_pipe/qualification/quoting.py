@@ -120,9 +120,11 @@ class Qualification:
             stated = replace(stated, accuracy=quoted, percent=percent if applies else None)
         if self.pod is not None:
             study, standing = self.pod, self.pod.standing(use)
-            source = f"study of detection of {study.created[:10]}, {len(study.pulls)} pulls"
+            source = (
+                f"study of detection of {study.created[:10]}, {len(study.pulls)} pull{'s' * (len(study.pulls) != 1)}"
+            )
             lines = [(f"detection of {kind}", "; ".join(study.statement(kind))) for kind in study.kinds]
-            lines.append(("false calls", study.false_calls.statement()))
+            lines.append(("false calls", study.false_calls.statement().removeprefix("false calls: ")))
             stated = replace(
                 stated, detection=tuple((what, _quotation(text, source, standing)) for what, text in lines)
             )
