@@ -141,19 +141,28 @@ def fit_command(
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for pod.json, pod.html and pictures.")],
     axis: Annotated[FitAxis, typer.Option(help="POD against depth, or against its logarithm.")] = FitAxis.LIKELIER,
+    claim: Annotated[
+        float | None, typer.Option(metavar="MM", min=1e-3, max=1e4, help="Tolerance of depths that is claimed, mm.")
+    ] = None,
+    certainty: Annotated[
+        float | None, typer.Option(min=0.5, max=0.99, help="Part of depths that --claim is of; 0.8 if not given.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """POD against size with a90/95, false calls, names and sizes of what was detected: pod.json and a page of it."""
     from annulus_pipe.qualification.hit_miss import SizeAxis
     from annulus_pipe.qualification.pod import detectability, pod_json
     from annulus_pipe.qualification.trial_files import read_trials
+    from annulus_pipe.qualification.validation import CERTAINTY
     from annulus_pipe.report.pod_page import pictures, pod_page
 
+    if claim is None and certainty is not None:
+        raise AnnulusError(f"--certainty {certainty:g} goes with --claim, a tolerance of depths in mm")
     joined = read_trials(trials[0])
     for path in trials[1:]:
         joined = joined.joined(read_trials(path))
     fixed = {FitAxis.LIKELIER: None, FitAxis.LINEAR: SizeAxis.LINEAR, FitAxis.LOG: SizeAxis.LOG}[axis]
-    found = detectability(joined, fixed)
+    found = detectability(joined, fixed, None if claim is None else (claim, certainty or CERTAINTY))
     drawn = pictures(found, joined)
     _write(out / "pod.json", pod_json(found))
     for name, picture in drawn.items():

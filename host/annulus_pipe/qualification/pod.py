@@ -229,9 +229,12 @@ _FALSE_CALLS = ("inspected_m", "per_100_m", "lower", "upper", "confidence")
 _LEFT_OUT = ("not_seen", "outside", "dug", "undecided")
 
 
-def detectability(trials: Trials, axis: SizeAxis | None = None) -> Detectability:
-    """Everything that a set of trials says. axis : of POD, where it was fixed beforehand. Raises AnnulusError, one
-    line, where none of them was judged, and without statsmodels."""
+def detectability(
+    trials: Trials, axis: SizeAxis | None = None, claim: tuple[float, float] | None = None
+) -> Detectability:
+    """Everything that a set of trials says. axis : of POD, where it was fixed beforehand. claim : a tolerance of
+    depths, mm, and the certainty with which it is claimed. Raises AnnulusError, one line, where none of them was
+    judged, and without statsmodels."""
     judged = [one for one in trials.trials if one.state in JUDGED and one.truth.laid]
     dug = [one for one in trials.trials if not one.truth.laid]
     if not judged and dug:
@@ -248,7 +251,7 @@ def detectability(trials: Trials, axis: SizeAxis | None = None) -> Detectability
             continue
         rows += list(_rows(kind, its, axis))
         identified.append((kind, _identified(its)))
-        sizing.append((kind, _sizing([one for one in trials.trials if one.truth.kind == kind])))
+        sizing.append((kind, _sizing([one for one in trials.trials if one.truth.kind == kind], claim)))
     states = [one.state for one in trials.trials if one.truth.laid]
     dug_in = {one.pull for one in dug}  # nobody dug where nothing was reported: what else is there nobody knows
     known_m = sum(one.inspected_mm for one in trials.pulls if one.name not in dug_in) / 1000
@@ -342,7 +345,7 @@ def _identified(its: Sequence[Trial]) -> Proportion:
     return proportion(sum(right.values()), len(right), CONFIDENCE)
 
 
-def _sizing(its: Sequence[Trial]) -> Sizing:
+def _sizing(its: Sequence[Trial], claim: tuple[float, float] | None) -> Sizing:
     """Of every target the trial that is farthest off: several of one target are no several errors."""
     worst: dict[tuple[str, str, str], SizedPair] = {}
     for one in its:
@@ -353,7 +356,7 @@ def _sizing(its: Sequence[Trial]) -> Sizing:
         before = worst.get(_target(one))
         if before is None or _off(pair) > _off(before):
             worst[_target(one)] = pair
-    return size_errors(worst.values())
+    return size_errors(worst.values(), claim=claim)
 
 
 def _off(pair: SizedPair) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.late import optimize, stats
 from annulus_pipe.numeric.rounding import MEASURE, digits_k2, quoted
-from annulus_pipe.qualification.validation import CONFIDENCE, COUNT_MAX
+from annulus_pipe.qualification.validation import CONFIDENCE, COUNT_MAX, ClaimJudgement, judge_claim
 from annulus_pipe.untrusted import mapping, number, shown, whole, within
 
 CERTAINTIES = (0.80, 0.90)
@@ -53,6 +53,27 @@ class SizedPair:
 
 
 @dataclass(frozen=True, slots=True)
+class SizingClaim:
+    """A tolerance that somebody claims, and what the errors say of it (API 1163, levels 1 to 3). An error is within
+    when it is no larger than claim and true size's own uncertainty together, the root of the sum of squares."""
+
+    tolerance_mm: float
+    judgement: ClaimJudgement
+
+    @classmethod
+    def of(cls, pairs: Iterable[SizedPair], tolerance_mm: float, certainty: float, confidence: float) -> "SizingClaim":
+        """Lower limits say nothing of it. Raises ValueError for a tolerance or a certainty that is none."""
+        if not 0.0 < tolerance_mm <= MM_MAX:
+            raise ValueError(f"a tolerance of {tolerance_mm:g} mm, expected more than 0")
+        known = [one for one in pairs if not one.at_least]
+        inside = [abs(one.reported_mm - one.true_mm) <= math.hypot(tolerance_mm, one.true_u_mm or 0.0) for one in known]
+        return cls(tolerance_mm, judge_claim(sum(inside), len(known), certainty, confidence))
+
+    def statement(self) -> str:
+        return f"claim of ± {quoted(self.tolerance_mm, MEASURE)}: {self.judgement.statement()}"
+
+
+@dataclass(frozen=True, slots=True)
 class SizingTolerance:
     """`certainty` of all errors lie within ± tolerance_mm, with `confidence`. needed: errors that it takes at least,
     where tolerance_mm is NaN."""
@@ -76,7 +97,7 @@ class Sizing:
 
     mean_k_mm : half of the mean's interval (Student's t, with `confidence`). sd_own_mm : sd_mm with what the truths may
     be off taken off; 0 where that explains all of it, NaN where the truths state nothing. left_out : lower limits, of
-    which no error is known. without_u : truths that state no uncertainty.
+    which no error is known. without_u : truths that state no uncertainty. claim : what somebody claims of them.
     """
 
     n: int
@@ -88,6 +109,7 @@ class Sizing:
     sd_mm: float
     sd_own_mm: float
     tolerances: tuple[SizingTolerance, ...]
+    claim: SizingClaim | None = None
 
     def statement(self) -> list[str]:
         lines = []
@@ -102,6 +124,8 @@ class Sizing:
             own = digits_k2(self.sd_own_mm, MEASURE)
             lines.append(f"standard deviation without what the true sizes may be off: {own} mm")
         lines += [one.statement(self.n) for one in self.tolerances]
+        if self.claim is not None:
+            lines.append(self.claim.statement())
         if self.left_out:
             lines.append(f"left out, reported as lower limits: {self.left_out}")
         if self.without_u:
@@ -111,6 +135,8 @@ class Sizing:
     def to_dict(self) -> dict[str, Any]:
         found = asdict(self)
         found["tolerances"] = [_without_nan(asdict(one)) for one in self.tolerances]
+        if self.claim is not None:
+            found["claim"] = self.claim.judgement.to_dict() | {"tolerance_mm": self.claim.tolerance_mm}
         return _without_nan(found)
 
     @classmethod
@@ -130,15 +156,20 @@ class Sizing:
             _maybe(found, "sd_mm"),
             _maybe(found, "sd_own_mm"),
             tolerances,
+            None if found.get("claim") is None else _claim(mapping(found["claim"], "claim")),
         )
 
 
 def size_errors(
-    pairs: Iterable[SizedPair], certainties: Sequence[float] = CERTAINTIES, confidence: float = CONFIDENCE
+    pairs: Iterable[SizedPair],
+    certainties: Sequence[float] = CERTAINTIES,
+    confidence: float = CONFIDENCE,
+    claim: tuple[float, float] | None = None,
 ) -> Sizing:
-    """Mean, spread and tolerances of reported less true. Raises ValueError for a size that is no number, and for a
-    certainty or confidence that is not between 0 and 1."""
-    known, left_out = [], 0
+    """Mean, spread and tolerances of reported less true. claim : a tolerance, mm, and the certainty with which it is
+    claimed. Raises ValueError for a size that is no number, and for a certainty or confidence that is not between 0
+    and 1."""
+    pairs, known, left_out = list(pairs), [], 0
     for pair in pairs:
         if not (abs(pair.reported_mm) <= MM_MAX and abs(pair.true_mm) <= MM_MAX):
             raise ValueError(f"a size of {pair.reported_mm:g} against {pair.true_mm:g} mm, expected numbers")
@@ -160,7 +191,8 @@ def size_errors(
         if stated:
             own = math.sqrt(max(spread**2 - sum(u * u for u in stated) / n, 0.0))
     tolerances = tuple(_sizing_tolerance(error, mean, spread, part, confidence) for part in certainties)
-    return Sizing(n, left_out, n - len(stated), confidence, mean, half, spread, own, tolerances)
+    claimed = None if claim is None else SizingClaim.of(pairs, *claim, confidence)
+    return Sizing(n, left_out, n - len(stated), confidence, mean, half, spread, own, tolerances, claimed)
 
 
 def order_needed(certainty: float, confidence: float = CONFIDENCE) -> int:
@@ -217,6 +249,10 @@ def _tolerance(found: Mapping[str, Any]) -> SizingTolerance:
 def _maybe(found: Mapping[str, Any], name: str) -> float:
     value = found.get(name)
     return math.nan if value is None else number(value, name, MM_MAX)
+
+
+def _claim(found: Mapping[str, Any]) -> SizingClaim:
+    return SizingClaim(within(found.get("tolerance_mm"), "tolerance_mm", 0.0, MM_MAX), ClaimJudgement.from_dict(found))
 
 
 def _without_nan(found: dict[str, Any]) -> dict[str, Any]:

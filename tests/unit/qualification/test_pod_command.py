@@ -102,6 +102,17 @@ def test_answers_are_json_where_that_is_asked_for(study: Path) -> None:
     assert answer["format"] == "annulus-pod/1" and answer["rows"][0]["fit"]["axis"] == "log size"
 
 
+@pytest.mark.parametrize(("claim", "outcome"), [(0.3, "accepted"), (0.02, "rejected")])
+def test_a_claimed_tolerance_is_judged(study: Path, claim: float, outcome: str) -> None:
+    """Depths are read with a standard deviation of 0.1 mm."""
+    printed = run("fit", study / "trials.json", "-o", study / outcome, "--claim", claim)
+    assert 'The claim "80' in printed and f"is {outcome}." in printed
+    sizing = dict(read_pod(study / outcome / "pod.json").sizing)["loss"]
+    assert sizing.claim is not None and str(sizing.claim.judgement.outcome) == outcome
+    assert sizing.claim.tolerance_mm == claim and sizing.claim.judgement.level == 3
+    assert "goes with --claim" in run("fit", study / "trials.json", "-o", "x", "--certainty", 0.9, status=1)
+
+
 def test_truths_of_another_pipe_or_unit_are_refused_in_one_line(study: Path, tmp_path: Path) -> None:
     spool = study / "plan/spool-1.csv"
     other = results(tmp_path / "other", spool, pipe="main 7")
