@@ -128,7 +128,7 @@ def _witnesses(seed: int, as_json: bool) -> None:
 @app.command(
     "scan",
     epilog="Example: annulus twin scan --world butt --seed 3 --frames 26 -o scan && annulus reconstruct scan -o out "
-    "--calibration scan/calibration.json. A reference pipe: annulus twin scan --world clean --diameter 153.2 "
+    "--calibration scan/calibration.json && annulus twin scan --world clean --diameter 153.2 "
     "--temperature 30 -o piece-2",
 )
 def scan(

@@ -44,7 +44,7 @@ DRAWS = 400  # simulated studies: the deviation of the root is known to 4 %, whi
 SEED = 3023  # the same data give the same bound
 UNEXPLAINED = 0.05  # chance of hits and misses that follow so badly from the line: below, it is not what decides
 # In loglikelihood, as in hit_miss: few misses say how reported depths spread where they are decided, so more is asked.
-# With 2 a90/95 covers 94 to 96 % whichever axes are true; with 0.5 it covered 90 % (tools/bench, topic pod).
+# With 2 a90/95 covers 94 to 96 % whichever axes are true; with 0.5 it covered 90 % (tools/bench, table pod).
 NEARLY_AS_LIKELY = 2.0
 STEPS_MAX = 60
 LEFT, MEASURED, RIGHT = -1, 0, 1

@@ -61,7 +61,7 @@ def world(rng: np.random.Generator, targets: int) -> tuple[np.ndarray, np.ndarra
 
 def test_in_95_of_100_studies_a9095_is_above_the_true_a90() -> None:
     """40 studies of 50 targets each: 38 +- 1.4 are right; 32 leaves four deviations. `python -m tools.bench pod`
-    has 500 of each."""
+    has 1000 of each."""
     rng = np.random.default_rng(3023)
     right = 0
     for _ in range(40):
