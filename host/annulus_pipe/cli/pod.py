@@ -88,7 +88,8 @@ def match_command(
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="trials.json: what became of each defect.")],
     zero: Annotated[
-        float, typer.Option("--zero-mm", metavar="MM", help="Where in the scan the truths' zero lies.")
+        float,
+        typer.Option("--zero-mm", min=-1e7, max=1e7, metavar="MM", help="Where in the scan the truths' zero lies."),
     ] = 0.0,
     scanned: Annotated[
         tuple[float, float] | None, typer.Option(metavar="MM MM", help="Of a list: what was scanned, from and to.")

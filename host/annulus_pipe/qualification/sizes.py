@@ -85,6 +85,8 @@ def spools(
     """The plan's defects along as many spools as they take, in an order and at clocks drawn from the seed; side by side
     round a pipe of inner diameter bore_mm, where that is known."""
     rng = np.random.default_rng(seed)
+    if 0.0 < math.pi * bore_mm < width_mm:
+        raise AnnulusError(f"a pipe of {bore_mm:g} mm inside: a defect {width_mm:g} mm wide is wider than its wall")
     around = max(1, math.floor(math.pi * bore_mm / (width_mm + APART_MM)))
     each = around * (math.floor((spool_mm - FIRST_MM - length_mm) / (length_mm + APART_MM)) + 1)
     if each < 1:

@@ -33,6 +33,9 @@ CLUSTER_MAX = 4_000_000  # pairs of one group of neighbours: 2000 truths within 
 # nothing of that: a rim hides up to 0.7 of a pocket 3 mm deep and 20 long, and nothing before or beside it.
 FRAME_MM, HIDDEN_PART = 10.0, 0.5
 FRAME_STEPS = 12  # along and round, by which that part is measured
+# Where defects lie side by side many a truth has a neighbour by any zero, up to 7 of 10: if by another zero so
+# many times as many have one, the zero is wrong. Guarded by tests/regression/spool_by_another_zero.
+CHANCE_TIMES, CHANCE_LEAST = 1.2, 8
 UNIT_PART = 0.7  # of the pairs: as many of which agree by another unit, and the unit is wrong
 UNIT_OFF = 1.15  # within which a ratio of depths is that of two units; an inch is 25.4 times off
 WHOLE_CIRCLE_DEG = 345.0  # an arc that goes all round: its clock says nothing
@@ -212,7 +215,7 @@ def match(truths: Sequence[TrueDefect], reported: Sequence[Reported], pull: Pull
     moved = [replace(one, z_mm=one.z_mm + zero_mm) for one in truths]
     found = dict(pairs(moved, judged, pull.bore_radius_mm))
     states = [_state(one, judged[found[i]] if i in found else None, pull) for i, one in enumerate(moved)]
-    _require_same_pipe(moved, judged, states, len(found), pull)
+    _require_same_pipe(moved, judged, states, len(found), pull, zero_mm)
     trials = tuple(
         _trial(truth, judged[found[i]] if i in found else None, state, pull)
         for i, (truth, state) in enumerate(zip(truths, states, strict=True))
@@ -363,9 +366,15 @@ def _few(names: set[str]) -> str:
 
 
 def _require_same_pipe(
-    truths: Sequence[TrueDefect], reported: Sequence[Reported], states: Sequence[TrialState], matched: int, pull: Pull
+    truths: Sequence[TrueDefect],
+    reported: Sequence[Reported],
+    states: Sequence[TrialState],
+    matched: int,
+    pull: Pull,
+    zero_mm: float,
 ) -> None:
-    """AnnulusError where nothing matches although there is much to match, saying what would make it."""
+    """AnnulusError where nothing matches although there is much to match, or much less than by another zero, saying
+    what would make it. truths : as they lie in the scan, by zero_mm."""
     listed = [one for one in reported if one.listed]
     inside = [one for one, state in zip(truths, states, strict=True) if state is not TrialState.OUTSIDE]
     if not inside:
@@ -374,9 +383,17 @@ def _require_same_pipe(
             f"{pull.name}: all truths lie outside of what was scanned: {ends[0]:.0f} to {ends[1]:.0f} mm of"
             f" {pull.from_mm:.0f} to {pull.to_mm:.0f} mm.{_place_unit(truths, pull)}"
         )
-    if matched or len(listed) < 3 or len(truths) < 3:
+    if len(listed) < 3 or len(truths) < 3:
         return
     shift, agree = _best_shift(truths, listed, pull.bore_radius_mm)
+    shift += zero_mm
+    if matched:
+        if agree >= max(CHANCE_LEAST, CHANCE_TIMES * matched):
+            raise AnnulusError(
+                f"{pull.name}: {matched} of {len(truths)} truths lie where a defect is listed, and {agree} would if"
+                f" their zero lay at {shift:.0f} mm of the scan. Expected the spool's zero"
+            )
+        return
     hint = ""
     if agree >= max(3, UNIT_PART * min(len(listed), len(truths))):
         hint = f" {agree} would match if the truths' zero lay at {shift:.0f} mm of the scan."

@@ -32,7 +32,7 @@ def pictures(found: Detectability, trials: Trials) -> dict[str, bytes]:
         for kind in found.kinds:
             its = [one for one in judged if one.truth.kind == kind]
             out[f"pod-{kind}"] = _pod(found, kind, its)
-            if any(one.reported_depth_mm > 0 for one in its):
+            if any(one.state is TrialState.DETECTED and one.reported_depth_mm > 0 for one in its):
                 out[f"depth-{kind}"] = _depth(found, kind, its)
     return out
 
@@ -183,7 +183,8 @@ def _depth(found: Detectability, kind: str, its: Sequence[Trial]) -> bytes:
         axes.grid(color=INK, alpha=0.10, lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         corner = {"loc": "lower left", "bbox_to_anchor": (0, 1.0), "borderaxespad": 0.1}
-        axes.legend(**corner, ncols=3 if axes is left else 2, frameon=False, fontsize=7.5)
+        if axes.get_legend_handles_labels()[1]:  # errors have no limits where too few were sized
+            axes.legend(**corner, ncols=3 if axes is left else 2, frameon=False, fontsize=7.5)
     return png(figure)
 
 
