@@ -174,6 +174,7 @@ def test_a_plan_becomes_a_report_that_a_client_may_rely_on(tmp_path: Path) -> No
     stated = read(tmp_path / "results/summary.json")["qualification"]
     assert number in stated["accuracy"]["source"] and stated["accuracy"]["percent"] == accuracy["U_drift"]
     page = (tmp_path / "results/report.html").read_text("utf-8")
+    assert "of diameters the certificate has it" in page
     assert number in page and printed.splitlines()[0].split(" (")[0] in page  # "a90/95 0.45 mm"
 
     dig(tmp_path / "client/truth.json", tmp_path / "digs.csv", rng)

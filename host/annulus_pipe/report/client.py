@@ -373,7 +373,8 @@ def _not_covered(survey: Survey, account: ScanAccount) -> Iterator[str]:
     if not account.covariance_stated:
         yield (
             "the calibration's own uncertainty: calibration.json states no covariance, and an error of the head's "
-            "calibration is in none of the tolerances"
+            "calibration is in none of this scan's tolerances"
+            + (": of diameters the certificate has it" if account.stated.percent is not None else "")
         )
     if survey.scale is None:
         yield "what the head's optics may have drifted by since its calibration"
