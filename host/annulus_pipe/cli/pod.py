@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 app = verbs()
 
+ZERO_MAX_MM = 1e7  # 10 km, as far as a place may lie
+
 
 class LaidKind(StrEnum):
     LOSS = "loss"
@@ -105,16 +107,18 @@ def match_command(
     A pair lies within 25 mm, and half of the longer, along the pipe and round it. What lies in a hole of the survey is
     left out, and counted.
     """
-    from annulus_pipe.qualification.trial_files import read_reports, read_truths, trials_json
-    from annulus_pipe.qualification.trials import Pull, match
+    from annulus_pipe.qualification.trial_files import pull_of_list, read_reports, read_truths, trials_json
+    from annulus_pipe.qualification.trials import match
 
     known = read_truths(truths)
+    if not -ZERO_MAX_MM <= zero <= ZERO_MAX_MM:
+        raise AnnulusError(f"--zero-mm is {zero:g}, expected -{ZERO_MAX_MM:g}..{ZERO_MAX_MM:g}")
     found: Trials | None = None
     for path in results:
         if path.suffix.lower() in (".csv", ".json"):
-            if scanned is None or not diameter > 0:
+            if scanned is None or math.isnan(diameter):
                 raise AnnulusError(f"{path}: a list alone needs --scanned FROM TO and --diameter, in mm")
-            pull = Pull(path.stem, "", scanned[0], scanned[1], diameter / 2, limit)
+            pull = pull_of_list(path.stem, scanned, diameter, limit)
             reported: Sequence[Reported] = read_reports(path)
         else:
             pull, reported = _results(path)

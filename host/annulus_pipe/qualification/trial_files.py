@@ -82,6 +82,25 @@ def read_trials(path: Path) -> Trials:
         raise AnnulusError(f"{path}: {error}") from None
 
 
+def pull_of_list(name: str, scanned_mm: tuple[float, float], diameter_mm: float, limit_mm: float) -> Pull:
+    """The pull of a list that says nothing of it; what people name, looked at as `read_trials` does. AnnulusError."""
+    try:
+        first, last = (within(one, "scanned, mm,", -MM_MAX, MM_MAX) for one in scanned_mm)
+        if not first < last:
+            raise ValueError(f"scanned from {first:g} to {last:g} mm, expected from before to")
+        radius = within(diameter_mm, "its diameter, mm,", 2.0, 2 * SIZE_MAX) / 2
+        return Pull(
+            name,
+            "",
+            first,
+            last,
+            radius,
+            limit_mm if math.isnan(limit_mm) else within(limit_mm, "its depth limit, mm,", 0.0, SIZE_MAX),
+        )
+    except ValueError as error:
+        raise AnnulusError(f"{name}: {error}") from None
+
+
 def truths_csv(truths: Sequence[TrueDefect]) -> str:
     """As `read_truths` and `annulus twin scan` read it."""
     out = io.StringIO()
@@ -155,6 +174,8 @@ def _read(path: Path, listed_as: str, parsed: Callable[[Sequence[Row]], T]) -> T
 def _csv_rows(content: str) -> list[Row]:
     rows = csv.reader(io.StringIO(content, newline=""), strict=True)
     head = [name.strip() for name in next(rows, [])]
+    if len(head) == 1 and ";" in head[0]:
+        raise ValueError("line 1: its cells are parted by semicolons, expected commas and decimal points")
     if len(set(head)) < len(head):
         raise ValueError("line 1: a column is there twice")
     out: list[Row] = []

@@ -171,9 +171,14 @@ class Trials:
     undecided_elsewhere: int = 0
     of_other_kinds: int = 0
 
+    @property
+    def _names(self) -> set[str]:
+        """Of its pulls; a list of hits and misses is one by its file's name."""
+        return {one.name for one in self.pulls} | {one.pull for one in self.trials}
+
     def joined(self, other: "Trials") -> "Trials":
         """With those of another pull. AnnulusError where both have the same, or differ in what one truth is."""
-        twice = {one.name for one in self.pulls} & {one.name for one in other.pulls}
+        twice = self._names & other._names
         if twice:
             raise AnnulusError(f"{min(twice)}: its trials are there twice. Expected each pull once.")
         known = {(one.truth.pipe, one.truth.name): one.truth for one in self.trials if math.isfinite(one.truth.z_mm)}

@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.pod import Detectability, FalseCalls, detectability, pod_json, read_pod
 from annulus_pipe.qualification.sizes import plan_sizes, spools
 from annulus_pipe.qualification.trials import GATE_MM, Pull, Reported, Trial, Trials, TrialState, TrueDefect, match
+from annulus_pipe.report.pod_page import pictures
 from annulus_pipe.vocabulary import AnnulusError
 
 PULL = Pull("pull 1", "spool A", 0.0, 20_000.0, 75.0, 0.5, "7", "0.9", "2026-11-29")
@@ -188,3 +190,10 @@ def test_defects_lie_side_by_side_round_a_pipe_of_known_diameter() -> None:
 def test_a_plan_that_cannot_be_says_why(wanted: float, a50: float, a90: float, deepest: float, expected: str) -> None:
     with pytest.raises(AnnulusError, match=expected):
         plan_sizes(wanted, a50, a90, deepest_mm=deepest)
+
+
+def test_a_page_of_misses_that_have_a_depth() -> None:
+    """Places without a name have one: the picture of depths asked for the deepest of none that were detected."""
+    undecided = [replace(one, listed=False) for one in reports(truths(30))]
+    trials = match(truths(30), undecided, PULL)
+    assert list(pictures(detectability(trials), trials)) == ["pod-loss"]

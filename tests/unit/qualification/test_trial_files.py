@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from annulus_pipe.qualification.trial_files import (
+    pull_of_list,
     read_reports,
     read_trials,
     read_truths,
@@ -118,3 +119,36 @@ def test_hits_and_misses_of_others_are_trials(tmp_path: Path) -> None:
     assert "detected is 'perhaps', expected yes or no" in line
     assert "expected annulus-trials/1" in refused(written(tmp_path, "{}", "d.json"), read_trials)
     assert "cannot be read" in refused(tmp_path / "none.json", read_trials)
+
+
+@pytest.mark.parametrize(
+    ("scanned", "diameter", "limit", "expected"),
+    [
+        ((1000.0, 0.0), 150.0, math.nan, "scanned from 1000 to 0 mm"),
+        ((math.nan, 1000.0), 150.0, math.nan, "scanned, mm, is nan"),
+        ((0.0, math.inf), 150.0, math.nan, "scanned, mm, is inf"),
+        ((0.0, 1e308), 150.0, math.nan, "scanned, mm, is 1e.308"),
+        ((0.0, 1000.0), math.inf, math.nan, "its diameter, mm, is inf"),
+        ((0.0, 1000.0), -3.0, math.nan, "its diameter, mm, is -3"),
+        ((0.0, 1000.0), 150.0, -5.0, "its depth limit, mm, is -5"),
+    ],
+)
+def test_what_a_list_is_of_is_bounded_as_its_trials_are(
+    scanned: tuple[float, float], diameter: float, limit: float, expected: str
+) -> None:
+    """trials.json was written, and refused by `pod fit`."""
+    with pytest.raises(AnnulusError, match=expected):
+        pull_of_list("list", scanned, diameter, limit)
+
+
+def test_two_lists_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
+    """Their rows were counted as defects that were passed twice."""
+    (tmp_path / "other").mkdir()
+    text = "kind,depth_mm,detected\nloss,1.5,hit\n"
+    first, second = (read_trials(written(folder, text, "hits.csv")) for folder in (tmp_path, tmp_path / "other"))
+    with pytest.raises(AnnulusError, match=r"hits\.csv: its trials are there twice"):
+        first.joined(second)
+
+
+def test_cells_parted_by_semicolons_are_said_to_be(tmp_path: Path) -> None:
+    assert "parted by semicolons" in refused(written(tmp_path, "kind;depth_mm\nloss;1,5\n"))
