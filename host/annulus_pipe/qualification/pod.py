@@ -31,7 +31,7 @@ from annulus_pipe.qualification.hit_miss import (
 )
 from annulus_pipe.qualification.signal_response import LEFT, MEASURED, RIGHT, ResponseLine, fit_signal_response
 from annulus_pipe.qualification.sizing import SizedPair, Sizing, size_errors
-from annulus_pipe.qualification.trials import JUDGED, KINDS, Trial, Trials, TrialState
+from annulus_pipe.qualification.trials import JUDGED, KINDS, Pull, Trial, Trials, TrialState
 from annulus_pipe.qualification.validation import Proportion, proportion
 from annulus_pipe.untrusted import mapping, number, parse_json, printable, read_file, shown, whole, within
 from annulus_pipe.untrusted import text as raw_text
@@ -76,8 +76,12 @@ class PodRow:
 
 @dataclass(frozen=True, slots=True)
 class FalseCalls:
-    """Listed where nothing lay, over what was inspected of pipes whose every defect is known; per 100 m with the exact
-    interval of a Poisson count (Garwood 1936). NaN where nobody said how much was inspected."""
+    """Listed where nothing lay, over what was seen of pipes whose every defect is known; per 100 m with the exact
+    interval of a Poisson count (Garwood 1936). NaN where nobody said how much was inspected.
+
+    inspected_m : of all pulls. pipe_m : of different pipes. One that is passed again has the same wall to call falsely:
+    the interval is that of one pass, whose count is the mean of all.
+    """
 
     count: int
     inspected_m: float
@@ -85,21 +89,27 @@ class FalseCalls:
     lower: float
     upper: float
     confidence: float
+    pipe_m: float
 
     @classmethod
-    def of(cls, count: int, inspected_m: float, confidence: float = CONFIDENCE) -> "FalseCalls":
+    def of(
+        cls, count: int, inspected_m: float, confidence: float = CONFIDENCE, pipe_m: float | None = None
+    ) -> "FalseCalls":
+        """pipe_m : None where no pipe was passed again."""
         if not inspected_m > 0:
-            return cls(count, math.nan, math.nan, math.nan, math.nan, confidence)
-        tail, share = (1.0 - confidence) / 2, PER_M / inspected_m
-        lower = float(stats.chi2.ppf(tail, 2 * count)) / 2 if count else 0.0
-        upper = float(stats.chi2.isf(tail, 2 * count + 2)) / 2
-        return cls(count, inspected_m, count * share, lower * share, upper * share, confidence)
+            return cls(count, math.nan, math.nan, math.nan, math.nan, confidence, math.nan)
+        own_m = inspected_m if pipe_m is None else min(pipe_m, inspected_m)
+        tail, share, once = (1.0 - confidence) / 2, PER_M / own_m, count * own_m / inspected_m
+        lower = float(stats.chi2.ppf(tail, 2 * once)) / 2 if count else 0.0
+        upper = float(stats.chi2.isf(tail, 2 * once + 2)) / 2
+        return cls(count, inspected_m, once * share, lower * share, upper * share, confidence, own_m)
 
     def statement(self) -> str:
         if math.isnan(self.inspected_m):
             return "false calls: not established, the trials do not say how much was inspected"
+        again = f" ({self.pipe_m:.3g} m of pipe, passed again)" if self.pipe_m < 0.99 * self.inspected_m else ""
         return (
-            f"false calls: {self.count} in {self.inspected_m:.3g} m, {_rate(self.per_100_m)} per 100 m"
+            f"false calls: {self.count} in {self.inspected_m:.3g} m{again}, {_rate(self.per_100_m)} per 100 m"
             f" ({_rate(self.lower)} to {_rate(self.upper)}, {self.confidence:.0%} confidence)"
         )
 
@@ -225,7 +235,7 @@ class Detectability:
 
 
 BORE_MARGIN = 0.05  # of the pipes pulled through, beyond them: a head's rings fall much the same there
-_FALSE_CALLS = ("inspected_m", "per_100_m", "lower", "upper", "confidence")
+_FALSE_CALLS = ("inspected_m", "per_100_m", "lower", "upper", "confidence", "pipe_m")
 _LEFT_OUT = ("not_seen", "outside", "dug", "undecided")
 
 
@@ -254,13 +264,14 @@ def detectability(
         sizing.append((kind, _sizing([one for one in trials.trials if one.truth.kind == kind], claim)))
     states = [one.state for one in trials.trials if one.truth.laid]
     dug_in = {one.pull for one in dug}  # nobody dug where nothing was reported: what else is there nobody knows
-    known_m = sum(one.inspected_mm for one in trials.pulls if one.name not in dug_in) / 1000
+    known = [one for one in trials.pulls if one.name not in dug_in]
+    inspected_m, pipe_m = (length / 1000 for length in (sum(one.seen_mm for one in known), _pipe_mm(known, trials)))
     bores = [2 * one.bore_radius_mm for one in trials.pulls]
     return Detectability(
         tuple(rows),
         tuple(identified),
         tuple(sizing),
-        FalseCalls.of(sum(pull not in dug_in for pull, _ in trials.false_calls), known_m),
+        FalseCalls.of(sum(pull not in dug_in for pull, _ in trials.false_calls), inspected_m, pipe_m=pipe_m),
         LeftOut(
             states.count(TrialState.NOT_SEEN),
             states.count(TrialState.OUTSIDE),
@@ -273,6 +284,22 @@ def detectability(
         (min(bores), max(bores)) if bores else (math.nan, math.nan),
         datetime.now(UTC).isoformat(timespec="seconds"),
     )
+
+
+def _pipe_mm(pulls: Sequence[Pull], trials: Trials) -> float:
+    """Length of different pipes: pulls that share a target, or name one pipe, are of one; of it the longest counts."""
+    marks: dict[str, set[tuple[str, ...]]] = {one.name: {("pipe", one.pipe)} if one.pipe else set() for one in pulls}
+    for trial in trials.trials:
+        if trial.pull in marks:
+            marks[trial.pull].add(_target(trial))
+    pipes: list[tuple[set[tuple[str, ...]], float]] = []
+    for one in pulls:
+        own, length = marks[one.name], one.seen_mm
+        for same in [pipe for pipe in pipes if pipe[0] & own]:
+            pipes.remove(same)
+            own, length = own | same[0], max(length, same[1])
+        pipes.append((own, length))
+    return sum(length for _, length in pipes)
 
 
 def read_pod(path: Path) -> Detectability:

@@ -13,6 +13,7 @@ from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.certificate import Certificate, parse_certificate, read_certificate
 from annulus_pipe.qualification.pod import Detectability, read_pod
 from annulus_pipe.qualification.signature import canonical
+from annulus_pipe.qualification.trials import KINDS
 
 Read = TypeVar("Read")
 
@@ -123,7 +124,7 @@ class Qualification:
             source = (
                 f"study of detection of {study.created[:10]}, {len(study.pulls)} pull{'s' * (len(study.pulls) != 1)}"
             )
-            lines = [(f"detection of {kind}", "; ".join(study.statement(kind))) for kind in study.kinds]
+            lines = [(f"detection of {kind}", "; ".join(study.statement(kind))) for kind in KINDS]
             lines.append(("false calls", study.false_calls.statement().removeprefix("false calls: ")))
             stated = replace(
                 stated, detection=tuple((what, _quotation(text, source, standing)) for what, text in lines)

@@ -141,6 +141,15 @@ class Pull:
     def inspected_mm(self) -> float:
         return self.to_mm - self.from_mm
 
+    @property
+    def seen_mm(self) -> float:
+        """Of its length what was seen: a hole takes its part of the circle. Holes that overlap take theirs twice."""
+        hidden = 0.0
+        for one in self.holes:
+            along = min(one.z_to_mm, self.to_mm) - max(one.z_from_mm, self.from_mm)
+            hidden += max(along, 0.0) * min(max(one.arc_deg, 0.0), 360.0) / 360.0
+        return max(self.inspected_mm - hidden, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Trial:

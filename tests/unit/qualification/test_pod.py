@@ -15,7 +15,17 @@ from scipy.stats import poisson
 from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.pod import Detectability, FalseCalls, detectability, pod_json, read_pod
 from annulus_pipe.qualification.sizes import plan_sizes, spools
-from annulus_pipe.qualification.trials import GATE_MM, Pull, Reported, Trial, Trials, TrialState, TrueDefect, match
+from annulus_pipe.qualification.trials import (
+    GATE_MM,
+    Pull,
+    Reported,
+    Trial,
+    Trials,
+    TrialState,
+    TrueDefect,
+    UnseenPlace,
+    match,
+)
 from annulus_pipe.report.pod_page import pictures
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -197,3 +207,24 @@ def test_a_page_of_misses_that_have_a_depth() -> None:
     undecided = [replace(one, listed=False) for one in reports(truths(30))]
     trials = match(truths(30), undecided, PULL)
     assert list(pictures(detectability(trials), trials)) == ["pod-loss"]
+
+
+def test_a_spool_that_is_passed_again_has_no_more_wall_to_call_falsely() -> None:
+    """A spool without a false call in 20 m, passed 20 times, had a bound of 0.9 per 100 m; of 20 m it is 18."""
+    laid = truths(30)
+    reported = reports(laid)[:-1]
+    once = match(laid, reported, PULL)
+    again = once
+    for number in range(2, 21):
+        again = again.joined(match(laid, reported, replace(PULL, name=f"pull {number}", pipe="")))
+    first, last = (detectability(one).false_calls for one in (once, again))
+    assert (first.inspected_m, last.inspected_m, last.pipe_m) == (20.0, 400.0, 20.0)
+    assert first.upper == pytest.approx(last.upper) == pytest.approx(18.4, abs=0.1)
+    assert "0 in 400 m (20 m of pipe, passed again)" in last.statement() and "again" not in first.statement()
+
+
+def test_wall_that_was_not_seen_is_no_wall_without_a_false_call() -> None:
+    holes = (UnseenPlace(10_000.0, 20_000.0), UnseenPlace(-500.0, 5_000.0, 90.0, 90.0))
+    pull = replace(PULL, holes=holes)
+    assert pull.seen_mm == 20_000.0 - 10_000.0 - 1_250.0
+    assert detectability(match(truths(30), reports(truths(30)), pull)).false_calls.inspected_m == 8.75

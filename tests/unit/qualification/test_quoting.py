@@ -59,7 +59,8 @@ def test_a_study_of_detection_is_quoted_kind_by_kind(tmp_path: Path) -> None:
     files = Qualification.read(pod=file)
     use = HeadInUse("7", software="0.9", diameter_mm=150.0)
     stated = dict(files.quoted(use, anchored=False).detection)
-    assert list(stated) == ["detection of loss", "false calls"]
+    assert list(stated) == ["detection of loss", "detection of bump", "false calls"]
+    assert stated["detection of bump"].text == "a90/95 not established (bumps): none was laid"
     assert stated["detection of loss"].text.startswith("a90/95 0.") and "ASTM E2862" in stated["detection of loss"].text
     other = dict(files.quoted(replace(use, head="8"), anchored=False).detection)
     assert {one.text for one in other.values()} == {"not established: it is of head 7, and this is 8"}
