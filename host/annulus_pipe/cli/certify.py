@@ -154,15 +154,22 @@ def verify_command(
     results: Annotated[Path | None, typer.Option(help="Folder of results: whether it speaks for that scan.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Whether a certificate is as it was signed, by whom, still holds, and speaks for a scan. Status 1 where not."""
+    """Whether a certificate is as it was signed, by whom, follows from its own readings, has not lapsed, and speaks for
+    a scan. Status 1 where not. Anybody can sign: give the laboratory's own --public.
+    """
     from annulus_pipe.qualification.applicability import Applicability, HeadInUse
     from annulus_pipe.qualification.certificate import read_certificate
     from annulus_pipe.qualification.signature import public_key
+    from annulus_pipe.qualification.study import disagreements
 
     made = read_certificate(certificate)
     assert made.signature is not None
     if public is not None and public_key(public) != made.signature.public_key:
         raise AnnulusError(f"{certificate}: is signed by another key ({made.signature.fingerprint}) than {public}")
+    wrong = disagreements(made)
+    if wrong:
+        more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+        raise AnnulusError(f"{certificate}: does not follow from its own readings: {wrong[0]}{more}")
     today = _today()
     if results is None:
         scope = made.scope
@@ -183,9 +190,10 @@ def verify_command(
     print_fields(
         {
             "certificate": made.number,
-            "signed": f"as it is, by {made.signature.fingerprint}",
+            "signed": f"as it is, by {made.signature.fingerprint}{'' if public else ', whoever that is'}",
+            "numbers": f"follow from its {len(made.runs)} readings",
             "valid": f"{made.scope.issued} to {made.scope.until}",
-            "standing": str(standing),
+            "standing": "not lapsed" if results is None and not reasons else str(standing),
             **{f"because {i}": one for i, one in enumerate(reasons, 1)},
         },
         as_json,

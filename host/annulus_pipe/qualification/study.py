@@ -6,7 +6,7 @@ check = compared(certificate, plan, later)                    # check.upheld
 
 import calendar
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
@@ -34,6 +34,7 @@ POWER = 0.95  # in how many studies such a head has to be refused; below, `annul
 FAR_PERCENT = 5.0  # of its diameter: ten times what owners ask of a profiler; no head that scans a pipe errs by it ..
 APART_PERCENT = 1.0  # .. nor by so much more of one piece than of the study's others
 UNITS = {25.4: "inches", 10.0: "centimetres"}  # in mm; a plan in metres or feet has no diameter that is one
+SAME_PART, SAME_PERCENT = 1e-6, 1e-9  # of numbers that follow from the same readings: another machine's rounding
 ASKED_OPERATORS = 6  # laboratories that E691, section 9, asks for
 
 
@@ -285,6 +286,64 @@ def _left_open(plan: StudyPlan, celsius: FloatArray, sloped: bool) -> list[str]:
     out.append("defects, joints, levels and distances: their sizes and how surely they are detected (a POD says)")
     out.append("a wall that light enters farther than the pieces', a dirty lens, a pipe under water")
     return out
+
+
+def disagreements(certificate: Certificate) -> list[str]:
+    """What of a certificate does not follow from the readings that it lists, one reason each: a signature vouches for
+    nobody's arithmetic. The drift of U_drift is in no reading; it can only add."""
+    pieces = {one.name: ReferencePiece(one.name, one.diameter_mm, one.k2_mm) for one in certificate.pieces}
+    one_pull = len({run.number for run in certificate.runs}) < len(certificate.runs)
+    scope, stated = certificate.scope, certificate.accuracy
+    plan = StudyPlan(
+        certificate.title,
+        scope.head,
+        certificate.laboratory,
+        certificate.operators,
+        certificate.repeats,
+        tuple(pieces.values()),
+        one_pull=one_pull,
+    )
+    try:
+        readings = [_read_again(one, pieces, stated) for one in certificate.runs]
+        require_own_pieces(plan, readings, "its runs")
+        again = certified(plan, readings, Conditions(), scope.issued)
+    except AnnulusError as error:
+        return [str(error)]
+    except (ValueError, LookupError):
+        return ["its readings are not those of its pieces, operators and repeats, each once"]
+    out = [
+        f"its {name} is {found:.4g}, and its readings make it {made:.4g}"
+        for name, found, made in _both(certificate, again)
+        if not math.isclose(found, made, rel_tol=SAME_PART, abs_tol=SAME_PERCENT)
+    ]
+    if stated.U_drift < stated.U:
+        out.append(f"its U with drift is {stated.U_drift:.4g}, less than without")
+    if (scope.diameter_mm, scope.temperature_c) != (again.scope.diameter_mm, again.scope.temperature_c):
+        out.append("its range of diameters or temperatures is not that of its readings")
+    return out
+
+
+def _read_again(run: CertifiedRun, pieces: Mapping[str, ReferencePiece], stated: Accuracy) -> GaugeReading:
+    warm = math.nan if run.temperature_c is None else run.temperature_c
+    made = StudyRun(run.number, run.operator, run.piece, run.repeat, warm)
+    return GaugeReading(made, pieces[run.piece], run.diameter_mm, stated.worst_direction, 0.0, 0, 0.0, run.results)
+
+
+def _both(certificate: Certificate, again: Certificate) -> Iterator[tuple[str, float, float]]:
+    """Each number that follows from readings: as stated, and as they make it."""
+    for name in ("bias", "s_r", "s_R"):
+        for end in ("value", "low", "high"):
+            found, made = (getattr(getattr(one.accuracy, name), end) for one in (certificate, again))
+            yield f"{name}{'' if end == 'value' else f', {end}'}", found, made
+    for name in ("u", "U", "k", "worst", "repeat_dof"):
+        yield name, getattr(certificate.accuracy, name), getattr(again.accuracy, name)
+    for ours, theirs in zip(certificate.pieces, again.pieces, strict=True):
+        yield f"mean of {ours.name}", ours.mean_mm, theirs.mean_mm
+        yield f"s_r of {ours.name}", ours.s_r_mm, theirs.s_r_mm
+        yield f"s_R of {ours.name}", ours.s_R_mm, theirs.s_R_mm
+    listed = {(one.number, one.piece): one.error for one in certificate.runs}
+    for one in again.runs:
+        yield f"error of {one.piece} in run {one.number}", listed[one.number, one.piece], one.error
 
 
 def compared(

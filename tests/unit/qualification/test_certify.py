@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus_pipe.cli.app import app
-from annulus_pipe.qualification.certificate import read_certificate
+from annulus_pipe.qualification.certificate import Certificate, read_certificate
+from annulus_pipe.qualification.signature import sign
 from annulus_pipe.storage.results_folder import STATION_COLUMNS
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -123,7 +125,7 @@ def test_from_plan_to_certificate_and_check(tmp_path: Path) -> None:
     assert len(certificate.runs) == 18 and certificate.form.points_per_picture == 1500
     page = (tmp_path / "certificate.html").read_text()
     assert certificate.number in page and "0.5 %" in page and "E691" in page
-    assert "applies" in study.invoke("verify", tmp_path / "certificate.json", "--public", tmp_path / "lab.key.pub")
+    assert "not lapsed" in study.invoke("verify", tmp_path / "certificate.json", "--public", tmp_path / "lab.key.pub")
     folder = study.runs.parent / study.rows()[0]["results"]
     said = study.invoke("verify", tmp_path / "certificate.json", "--results", folder)
     assert "cannot be told" in said and "the day is not known" in said
@@ -215,3 +217,53 @@ def test_what_is_no_plan_is_refused_in_one_line(tmp_path: Path, old: str, new: s
     with pytest.raises(AnnulusError, match=line) as refused:
         Study.invoke(Study.__new__(Study), "plan", plan, "-o", tmp_path / "study")
     assert "\n" not in str(refused.value)
+
+
+def _better(content: dict[str, Any]) -> None:
+    content["accuracy"]["U"] /= 2
+
+
+def _steadier(content: dict[str, Any]) -> None:
+    content["accuracy"]["s_r"] = {name: one / 3 for name, one in content["accuracy"]["s_r"].items()}
+
+
+def _wider(content: dict[str, Any]) -> None:
+    content["scope"]["diameter_mm"] = [90.0, 300.0]
+
+
+def _without_the_worst(content: dict[str, Any]) -> None:
+    worst = max(content["runs"], key=lambda one: abs(one["error"]))
+    content["runs"].remove(worst)
+
+
+def _milder(content: dict[str, Any]) -> None:
+    for one in content["runs"]:
+        one["error"] /= 2
+
+
+def _no_drift(content: dict[str, Any]) -> None:
+    content["accuracy"]["U_drift"] = 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (_better, "its U is 0.* readings make it"),
+        (_steadier, "its s_r is 0.*, and 2 more"),
+        (_wider, "its range of diameters"),
+        (_without_the_worst, "each once"),
+        (_milder, "error of A in run 1 is"),
+        (_no_drift, "less than without"),
+    ],
+)
+def test_numbers_that_do_not_follow_from_readings_are_noticed_whoever_signed(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], line: str
+) -> None:
+    """Edited, and signed anew with a key of one's own: the signature holds."""
+    made = json.loads(Study(tmp_path).issue().read_text())
+    change(made["content"])
+    forged = Certificate.from_dict(made)
+    forged = replace(forged, signature=sign(forged.content(), tmp_path / "lab.key"))
+    (tmp_path / "forged.json").write_text(json.dumps(forged.to_dict()))
+    with pytest.raises(AnnulusError, match=f"does not follow from its own readings: .*{line}"):
+        Study.invoke(Study.__new__(Study), "verify", tmp_path / "forged.json")
