@@ -149,7 +149,7 @@ def test_a_plan_becomes_a_report_that_a_client_may_rely_on(tmp_path: Path) -> No
     assert 0.19 < accuracy["U"] < 0.25 < accuracy["U_drift"] < 1.2  # the bias, 0.02 % more; optics drift by more
     assert (tmp_path / "certificate/certificate.pdf").stat().st_size > 20_000
     ours = ("certify", "verify", "certificate/certificate.json", "--public", "lab.key.pub")
-    assert "applies" in annulus(tmp_path, *ours)
+    assert "not lapsed" in annulus(tmp_path, *ours)
     forged = tmp_path / "certificate/certificate.json"
     whole = forged.read_text()
     forged.write_text(whole.replace('"U": 0.2', '"U": 0.1'))
@@ -203,7 +203,7 @@ def test_the_same_in_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     typed("certify issue plan.toml --runs study/runs.csv --key lab.key -o certificate")
     bias = read(tmp_path / "certificate/certificate.json")["content"]["accuracy"]["bias"]
     assert bias["low"] < -0.18 < bias["high"] and bias["high"] - bias["low"] < 0.1
-    assert "applies" in typed("certify verify certificate/certificate.json --public lab.key.pub")
+    assert "not lapsed" in typed("certify verify certificate/certificate.json --public lab.key.pub")
 
     typed("pod plan --want 1.2 --a90 0.9 --a50 0.6 --diameter 152.4 -o plan")
     rng, found = random.Random(7), []
