@@ -19,6 +19,7 @@ from annulus_pipe.vocabulary import AnnulusError
 
 TEXT_MAX = 300  # characters of a line
 REMARKS_MAX = 2000
+CLOCK_SET = 2000  # year from which on a recorder's clock says a day: one that nobody set begins in 1970
 SECTIONS_MAX, NAME_MAX = 32, 60  # of a calibration's provenance
 WORDS: Mapping[str, str] = {  # of every field, in the order in which people are told
     "client": "Client",
@@ -165,11 +166,18 @@ class Origin:
 
     @property
     def day(self) -> datetime.date | None:
-        """Of the scan: the job's, or else that of the recorder's clock."""
-        try:
-            return datetime.date.fromisoformat(self.job.date or self.utc[0][:10])
-        except ValueError:
-            return None
+        """Of the scan, None where nobody knows."""
+        return scan_day(self.job.date, self.utc[0])
+
+
+def scan_day(typed: str, begun_utc: str) -> datetime.date | None:
+    """The later of the day that somebody typed and that of the recorder's clock, which may have stood still while the
+    head was off; None where neither is one."""
+    days = []
+    for stated in (typed, begun_utc[:10]):
+        with contextlib.suppress(ValueError):
+            days.append(datetime.date.fromisoformat(stated))
+    return max((day for day in days if day.year >= CLOCK_SET), default=None)
 
 
 def provenance(calibration: object) -> dict[str, dict[str, Any]]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from annulus_pipe.job import WORDS, JobSheet, job_of, provenance, read_job, recorded_provenance
+from annulus_pipe.job import WORDS, JobSheet, Origin, job_of, provenance, read_job, recorded_provenance
 from annulus_pipe.record.writer import RecordingWriter
 from annulus_pipe.scans.origin import origin_of
 from annulus_pipe.scans.scan import open_scan
@@ -167,3 +167,20 @@ def test_what_is_told_to_be_empty_is_and_what_is_not_told_stays() -> None:
     assert sheet.over_told({"site": "Oak Street"}) == JobSheet(client="A", site="Oak Street", sdr=11.0)
     assert sheet.over_told(JobSheet(pipe="P-1").to_whole()) == JobSheet(pipe="P-1")
     assert sheet.over_told(None) == sheet
+
+
+@pytest.mark.parametrize(
+    ("typed", "clock", "day"),
+    [
+        ("2027-03-01", "2028-06-01T09:00:00+00:00", "2028-06-01"),  # a certificate that has lapsed by then has lapsed
+        ("2027-03-01", "2020-01-01T00:00:05+00:00", "2027-03-01"),
+        ("2027-03-01", "", "2027-03-01"),
+        ("", "1970-01-01T00:03:00+00:00", None),
+        ("", "", None),
+    ],
+)
+def test_the_day_of_a_scan_is_the_later_of_what_was_typed_and_the_clock(
+    typed: str, clock: str, day: str | None
+) -> None:
+    found = Origin(JobSheet(date=typed), utc=(clock, "")).day
+    assert (None if found is None else found.isoformat()) == day
