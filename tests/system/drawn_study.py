@@ -4,6 +4,7 @@ a seed. For what is asked of certificates, not of scans."""
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +56,12 @@ def write_results(
 ) -> None:
     folder.mkdir(parents=True)
     end = FIRST_MM + stations * STEP_MM
+    number = int(folder.name) if folder.name.isdecimal() else 0
+    begun = f"{datetime.now(UTC):%Y-%m-%d}T09:{number % 60:02d}:00+00:00"  # today, as certificates are issued today
     summary = {
         "format": FORMAT,
         "job": dict(job),
-        "origin": {"begun_utc": "2026-11-29T09:00:00Z", "calibration": {"fingerprint": "ab12cd34ef567890"}},
+        "origin": {"begun_utc": begun, "calibration": {"fingerprint": "ab12cd34ef567890"}},
         "frames": {"projector": 13, "led": 3},
         "points": 45_000,
         "scanned_mm": {"from": FIRST_MM, "to": end, "length": end - FIRST_MM},

@@ -186,7 +186,7 @@ def verify_command(
         reasons = tuple(one for one in reasons if "lapsed" in one or "after the day" in one)
         standing = Applicability.DOES_NOT if reasons else Applicability.APPLIES
     else:
-        standing, reasons = made.scope.standing(in_use(_summary(results), results))
+        standing, reasons = made.scope.standing(in_use(_summary(results)))
     print_fields(
         {
             "certificate": made.number,
@@ -239,17 +239,19 @@ def check_command(
 
 def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tuple[list[GaugeReading], Conditions]":
     """What every run read of every piece it shows, and what all runs have in common. Raises AnnulusError."""
+    from annulus_pipe.job import scan_day
     from annulus_pipe.qualification.plan import ALL
 
     pieces = {piece.name: piece for piece in study.pieces}
     readings, common = list["GaugeReading"](), dict[str, tuple[str, int]]()
-    points = []
+    points, days, begun = list[float](), list[date](), dict[str, int]()
     for run in runs:
         folder = file.parent / run.results
         summary = _summary(folder)
         where = f"{file}: run {run.number} ({folder})"
         digest = _digest(folder)
         _require_of_run(study, run, summary, where)
+        _require_not_anchored(summary, where)
         for what, value in _stated(summary).items():
             first = common.setdefault(what, (value, run.number))
             if value != first[0]:
@@ -258,6 +260,10 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
                     f"{where}: its {what} is {own}, that of run {first[1]} {before}. A certificate is of one "
                     "head as it is"
                 )
+        when, day = str(_section(summary, "origin").get("begun_utc") or ""), in_use(summary).day
+        if scan_day("", when) is not None and begun.setdefault(when, run.number) != run.number:
+            raise AnnulusError(f"{where}: is the scan of run {begun[when]}, begun {when}. Expected one of its own")
+        days += [] if day is None else [day]
         frames = summary["frames"].get("projector") if isinstance(summary.get("frames"), Mapping) else None
         if isinstance(frames, int) and frames > 0 and isinstance(summary.get("points"), int):
             points.append(summary["points"] / frames)
@@ -267,7 +273,9 @@ def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tu
 
     require_own_pieces(study, readings, str(file))
     values = {what: value for what, (value, _) in common.items()}
-    return readings, Conditions(**values, points_per_picture=min(points) if points else math.nan)
+    return readings, Conditions(
+        **values, points_per_picture=min(points) if points else math.nan, days=(min(days), max(days)) if days else None
+    )
 
 
 def _reading(
@@ -290,7 +298,6 @@ def _reading(
             f"{where}: {int(inside.sum())} stations of piece {piece.name} were seen, expected {STATIONS_LEAST} or more"
             + (f" between {first:g} and {last:g} mm" if piece.span_mm else "")
         )
-    _require_not_anchored_by(piece, summary, where)
     read_mm = float(mean[inside].mean())
     ends = np.concatenate([columns[name][inside] for name in ("diameter_min_mm", "diameter_max_mm")])
     oval = columns["ovality_f1216_percent"][inside]
@@ -317,20 +324,15 @@ def _digest(folder: Path) -> str:
         raise unreadable(folder / STATIONS, error) from None
 
 
-def _require_not_anchored_by(piece: "ReferencePiece", summary: Mapping[str, Any], where: str) -> None:
-    """A piece that was named as the scan's reference section reads what it was named as: that shows nothing."""
-    first, last = piece.span_mm or (-math.inf, math.inf)
+def _require_not_anchored(summary: Mapping[str, Any], where: str) -> None:
+    """A piece that was named as the scan's reference section reads what it was named as: that shows nothing. With a
+    section elsewhere nothing shows what the optics drift by, and a certificate speaks for scans without one too."""
     sections = _section(summary, "scale").get("references")
-    for section in sections if isinstance(sections, list) else ():
-        if not isinstance(section, Mapping) or not section.get("used"):
-            continue
-        begins, ends = section.get("z_from_mm"), section.get("z_to_mm")
-        apart = isinstance(begins, int | float) and isinstance(ends, int | float) and (begins >= last or ends <= first)
-        if not apart:
-            raise AnnulusError(
-                f"{where}: its diameters are anchored by a reference section where piece {piece.name} lies. Expected "
-                "results that know nothing of the piece, or one with from_mm and to_mm elsewhere"
-            )
+    if any(isinstance(one, Mapping) and one.get("used") for one in (sections if isinstance(sections, list) else ())):
+        raise AnnulusError(
+            f"{where}: its diameters are anchored by a reference section. Expected results without one, which know "
+            "nothing of a piece and show what the optics drift by"
+        )
 
 
 def _drift_percent(summary: Mapping[str, Any]) -> float:
@@ -374,17 +376,13 @@ def _stated(summary: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def in_use(summary: Mapping[str, Any], folder: Path) -> "HeadInUse":
+def in_use(summary: Mapping[str, Any]) -> "HeadInUse":
     """What results state of the head that made them."""
+    from annulus_pipe.job import scan_day
     from annulus_pipe.qualification.applicability import HeadInUse
 
     job, origin, stated = _section(summary, "job"), _section(summary, "origin"), _stated(summary)
     diameter, warm = _section(summary, "diameter_mm").get("mean"), job.get("temperature_c")
-    when = job.get("date") or str(origin.get("begun_utc") or "")[:10]
-    try:
-        day = date.fromisoformat(when) if when else None
-    except ValueError:
-        raise AnnulusError(f"{folder}: its day is {when!r}, expected YYYY-MM-DD") from None
     return HeadInUse(
         str(job.get("head") or ""),
         stated["calibration"],
@@ -392,7 +390,7 @@ def in_use(summary: Mapping[str, Any], folder: Path) -> "HeadInUse":
         stated["software"],
         diameter if isinstance(diameter, int | float) else None,
         warm if isinstance(warm, int | float) else None,
-        day,
+        scan_day(*(str(when or "") for when in (job.get("date"), origin.get("begun_utc")))),
     )
 
 

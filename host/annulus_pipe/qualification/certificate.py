@@ -8,7 +8,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from datetime import date
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,6 +23,7 @@ FILE = "certificate.json"
 SIZE_MAX = 4 << 20  # bytes: hundreds of runs take a tenth of it
 ROWS_MAX, TEXT_MAX = 5000, 500
 DIAMETER_MARGIN = 0.02  # of a diameter, beyond the outermost pieces: pipes of one nominal size differ by as much
+CLOCKS_APART = timedelta(days=1)  # a job's day is that of where its pipe lies, an issue's is UTC's
 KELVIN_MARGIN = 5.0  # K beyond the coldest and warmest run: what thermometers and a pipe's length differ by
 Row = TypeVar("Row")
 
@@ -47,7 +48,7 @@ class CertificateScope:
             found.unknown.append("the day is not known")
         elif use.day > self.until:
             found.against.append(f"it lapsed on {self.until}")
-        elif use.day < self.issued:
+        elif use.day < self.issued - CLOCKS_APART:
             found.against.append(f"it is of {self.issued}, after the day of the scan")
         found.same("head", self.head, use.head)
         found.same("calibration", self.calibration, use.calibration)

@@ -16,6 +16,7 @@ from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.numeric.late import stats
 from annulus_pipe.qualification.budget import Contribution, budget
 from annulus_pipe.qualification.certificate import (
+    CLOCKS_APART,
     Accuracy,
     BudgetRow,
     Certificate,
@@ -62,13 +63,14 @@ class GaugeReading:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What all runs have in common; "" where they do not say."""
+    """What all runs have in common; "" where they do not say. days : of the first and last run; None: nobody knows."""
 
     calibration: str = ""
     firmware: str = ""
     software: str = ""
     lens: str = ""
     points_per_picture: float = math.nan
+    days: tuple[date, date] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +218,14 @@ def _measured(plan: StudyPlan) -> str:
 def _scope(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Conditions, issued: date) -> CertificateScope:
     diameters = [piece.diameter_mm for piece in plan.pieces]
     celsius = [one.run.temperature_c for one in readings]
-    month = issued.month - 1 + plan.months
-    year, month = issued.year + month // 12, month % 12 + 1
-    until = date(year, month, min(issued.day, calendar.monthrange(year, month)[1]))
+    first, last = conditions.days or (issued, issued)
+    month = first.month - 1 + plan.months  # from the first run on: an old study that is issued again is no newer for it
+    year, month = first.year + month // 12, month % 12 + 1
+    until = date(year, month, min(first.day, calendar.monthrange(year, month)[1]))
+    if issued < last - CLOCKS_APART:
+        raise AnnulusError(f"the last run is of {last}, after the day of issue, {issued}")
+    if until < issued:
+        raise AnnulusError(f"the first run is of {first}, and a certificate of it holds until {until}, before {issued}")
     return CertificateScope(
         plan.head,
         conditions.calibration,

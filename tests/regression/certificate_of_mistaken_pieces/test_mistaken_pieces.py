@@ -50,7 +50,7 @@ def test_one_piece_of_another_size_is_refused(study: Path) -> None:
 def test_results_that_stand_for_two_runs_are_refused(study: Path) -> None:
     for name in ("summary.json", "stations.csv"):
         shutil.copy(study / "study/results/001" / name, study / "study/results/002" / name)
-    assert "has the results of run 1, expected its own" in refusal(study)
+    assert "is the scan of run 1" in refusal(study)
 
 
 def test_a_head_that_errs_by_two_percent_is_certified_so(study: Path, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ piece = [
 ]
 """
 DIAMETERS = {"A": (151.8, 0.0), "B": (152.4, 120.0), "C": (153.2, 240.0)}
+ORIGIN = {"calibration": {"fingerprint": "ab12cd34ef567890"}, "controller": {"version": "1.4.0", "git": "abc"}}
 BIAS_PERCENT, REPEAT_PERCENT = 0.06, 0.02
 
 
@@ -47,10 +48,7 @@ def results(folder: Path, operator: str, percent: float, **more: Any) -> None:
     summary = {
         "format": "annulus-summary/1",
         "job": {"head": "7", "operator": operator},
-        "origin": {
-            "calibration": {"fingerprint": "ab12cd34ef567890"},
-            "controller": {"version": "1.4.0", "git": "abc"},
-        },
+        "origin": ORIGIN,
         "versions": {"annulus": "0.1.0"},
         "frames": {"projector": 40},
         "points": 60_000,
@@ -168,6 +166,15 @@ def _rows(edit: Callable[[list[dict[str, str]]], Any]) -> Callable[[Study], None
     return change
 
 
+def _all_changed(**more: Any) -> Callable[[Study], None]:
+    def change(study: Study) -> None:
+        for row in study.rows():
+            file = study.runs.parent / row["results"] / "summary.json"
+            file.write_text(json.dumps(json.loads(file.read_text()) | more))
+
+    return change
+
+
 ANCHORED = {"references": [{"z_from_mm": 130.0, "z_to_mm": 200.0, "diameter_mm": 152.4, "used": True}]}
 
 
@@ -185,8 +192,11 @@ ANCHORED = {"references": [{"z_from_mm": 130.0, "z_to_mm": 200.0, "diameter_mm":
         (_copied, "has the results of run"),
         (_changed(job={"head": "8"}), "is of head 8, expected 7"),
         (_changed(versions={"annulus": "0.2.0"}), "its software is 0.2.0, that of run 1 0.1.0"),
-        (_changed(scale=ANCHORED), "anchored by a reference section where piece B lies"),
+        (_changed(scale=ANCHORED), "anchored by a reference section. Expected results without"),
         (_reads(33.0), "Is it of another piece"),
+        (_all_changed(origin=ORIGIN | {"begun_utc": "2026-11-28T10:00:00+00:00"}), "is the scan of run 1, begun 2026-"),
+        (_all_changed(job={"date": "2026-12-05"}), "the last run is of 2026-12-05, after the day of issue, 2026-11-29"),
+        (_all_changed(job={"date": "2024-06-01"}), "holds until 2025-06-01, before 2026-11-29"),
     ],
 )
 def test_what_is_no_study_is_refused_in_one_line(tmp_path: Path, change: Callable[[Study], None], line: str) -> None:
@@ -267,3 +277,9 @@ def test_numbers_that_do_not_follow_from_readings_are_noticed_whoever_signed(
     (tmp_path / "forged.json").write_text(json.dumps(forged.to_dict()))
     with pytest.raises(AnnulusError, match=f"does not follow from its own readings: .*{line}"):
         Study.invoke(Study.__new__(Study), "verify", tmp_path / "forged.json")
+
+
+def test_an_old_study_that_is_issued_again_holds_no_longer(tmp_path: Path) -> None:
+    study = Study(tmp_path)
+    _all_changed(job={"date": "2026-03-31"})(study)
+    assert read_certificate(study.issue()).scope.until == date(2027, 3, 31)
