@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from annulus_pipe.archive.wall_map import WallMap
     from annulus_pipe.qualification.trials import Pull, SeenWall
@@ -51,6 +49,8 @@ def read_pull(folder: Path) -> "tuple[Pull, tuple[ListedPlace, ...], tuple[Liste
 
 
 def _seen(wall: "WallMap") -> "SeenWall":
+    import numpy as np
+
     from annulus_pipe.qualification.trials import SeenWall
 
     return SeenWall(np.isfinite(wall.deviation_mm), wall.first_mm, wall.step_mm, wall.first_deg)
