@@ -3,6 +3,7 @@ a result that says what cannot be told."""
 
 import csv
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -146,9 +147,12 @@ def test_a_certificate_speaks_for_its_own_head_and_its_own_time(here: Path) -> N
     write_results(here / "other", 152.4, {"head": "annulus-8", "temperature_c": 20.0})
     done = typed(f"{VERIFY} --results other")
     assert done.exit_code == 1 and "does not apply" in done.output and "it is of head annulus-7" in done.output
+    assert "after the day of issue, 2020-01-01" in str(typed(f"{ISSUE} --date 2020-01-01").exception)
+    for run in here.glob("study/results/*/summary.json"):
+        run.write_text(re.sub(r'"begun_utc": "[0-9-]{10}', '"begun_utc": "2019-11-02', run.read_text()))
     assert typed(f"{ISSUE} --date 2020-01-01").exit_code == 0
     done = typed("certify verify new/certificate.json")
-    assert done.exit_code == 1 and "it lapsed on 2021-01-01" in done.output
+    assert done.exit_code == 1 and "it lapsed on 2020-11-02" in done.output
 
 
 @pytest.mark.parametrize(("shallowest", "why"), [(0.0, "all were detected"), (9.0, "none was detected")])

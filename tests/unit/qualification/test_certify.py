@@ -60,6 +60,12 @@ def results(folder: Path, operator: str, percent: float, **more: Any) -> None:
     (folder / "summary.json").write_text(json.dumps(summary | more))
 
 
+@pytest.fixture(autouse=True)
+def the_day_of_issue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A certificate lapses; these tests do not."""
+    monkeypatch.setattr("annulus_pipe.cli.certify._today", lambda: date(2026, 11, 29))
+
+
 class Study:
     """A study in a folder: planned, its runs drawn from a seed."""
 
@@ -125,8 +131,8 @@ def test_from_plan_to_certificate_and_check(tmp_path: Path) -> None:
     assert certificate.number in page and "0.5 %" in page and "E691" in page
     assert "not lapsed" in study.invoke("verify", tmp_path / "certificate.json", "--public", tmp_path / "lab.key.pub")
     folder = study.runs.parent / study.rows()[0]["results"]
-    said = study.invoke("verify", tmp_path / "certificate.json", "--results", folder)
-    assert "cannot be told" in said and "the day is not known" in said
+    printed = study.invoke("verify", tmp_path / "certificate.json", "--results", folder)
+    assert "cannot be told" in printed and "the day is not known" in printed
     later = Study(tmp_path, seed=2)
     assert "yes" in later.invoke("check", tmp_path / "certificate.json", later.plan, "--runs", later.runs)
     worse = Study(tmp_path, seed=3, worse=6.0)

@@ -66,7 +66,7 @@ def test_a_slope_is_not_flattened_by_what_the_digs_are_off() -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])
-def test_from_few_points_nothing_is_told(n: int) -> None:
+def test_few_points_determine_no_line(n: int) -> None:
     x = np.arange(float(n))
     assert fit_line(x, x, 0 * x + 0.01, 0 * x + 0.01, 0.95) is None
 

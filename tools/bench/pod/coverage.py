@@ -16,9 +16,9 @@ def row(what: str, bounds: Sequence[float | None], a90_mm: float, *, asked: bool
     """bounds : of each study; None where it was not stated, which is no wrong statement."""
     right = sum(one is None or one >= a90_mm for one in bounds) / len(bounds)
     stated = sum(one is not None for one in bounds)
-    said = f"{100 * right:.1f} %" + ("" if stated == len(bounds) else f", stated in {stated} of {len(bounds)}")
+    stated_as = f"{100 * right:.1f} %" + ("" if stated == len(bounds) else f", stated in {stated} of {len(bounds)}")
     if not asked:
-        return Row(what, "-", "-", said)
+        return Row(what, "-", "-", stated_as)
     known = proportion(round(right * len(bounds)), len(bounds))
     asked_for = f"{100 * LEAST:.0f} to {100 * MOST:.0f} %"
-    return Row(what, "-", asked_for, said, known.lower <= MOST and known.upper >= LEAST)
+    return Row(what, "-", asked_for, stated_as, known.lower <= MOST and known.upper >= LEAST)
