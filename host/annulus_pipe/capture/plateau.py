@@ -107,13 +107,14 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
         )
     if min(one.saturated for one in readings) > SATURATED_MAX:
         raise AnnulusError(
-            f"tune: saturated, at best {min(one.saturated for one in readings):.0%} of the pixels: shorten the flash"
+            f"tune: saturated, at best {100 * min(one.saturated for one in readings):.0f} % of the pixels: "
+            "shorten the flash"
         )
     _same(readings)
     fit = _PlateauFit(readings, light, timing, height)
     if fit.misfit > MISFIT_MAX:
         raise AnnulusError(
-            f"tune: the light does not follow the delay as in a rolling shutter ({fit.misfit:.0%} besides):"
+            f"tune: the light does not follow the delay as in a rolling shutter ({100 * fit.misfit:.0f} % besides):"
             " does anything move, or does other light come in?"
         )
     opens, opens_k2 = fit.opens
@@ -160,10 +161,11 @@ def confirmed(proposal: Proposal, tried: Reading) -> Proposal:
     uneven = float(off.max())
     if (off > BANDING_MAX + BANDING_NOISES * proposal.noise).any():
         raise AnnulusError(
-            f"tune: tried, the flash at {proposal.delay_us:.0f} us leaves bands of {uneven:.1%}: is the head at rest?"
+            f"tune: tried, the flash at {proposal.delay_us:.0f} us leaves bands of {100 * uneven:.1f} %: "
+            "is the head at rest?"
         )
     if tried.saturated > SATURATED_MAX:
-        raise AnnulusError(f"tune: saturated, {tried.saturated:.0%} of the pixels: shorten the flash")
+        raise AnnulusError(f"tune: saturated, {100 * tried.saturated:.0f} % of the pixels: shorten the flash")
     return replace(proposal, banding=uneven, light=float(tried.light.mean()), saturated=tried.saturated)
 
 

@@ -203,7 +203,8 @@ def _fringe(
     )
     print(f"wall       {near:.0f} to {far:.0f} mm ahead of the camera")
     print(f"slide      radii {slide.inner_mm:.3f} to {slide.outer_mm:.3f} mm, finest period {slide.finest_mm:.4f} mm")
-    print(f"modulation {left[0]:.0%} of the innermost, {left[1]:.0%} of the outermost ring is left by the defocus")
+    inner, outer = 100 * left[0], 100 * left[1]
+    print(f"modulation {inner:.0f} % of the innermost, {outer:.0f} % of the outermost ring is left by the defocus")
     print("written    " + ", ".join(str(path) for path in written))
 
 

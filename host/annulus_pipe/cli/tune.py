@@ -95,5 +95,5 @@ def picture(found: "Tuned") -> list[str]:
     for one in sorted(found.readings, key=lambda reading: reading.delay_us):
         least = float(((one.light - proposal.black)[lit] / proposal.full[lit]).min())
         bar = "#" * round(COLUMNS * min(max(least, 0.0), 1.0))
-        lines.append(f"{one.delay_us:>10.0f} {one.light.mean():>7.1f} {least:>10.0%}  {bar}")
+        lines.append(f"{one.delay_us:>10.0f} {one.light.mean():>7.1f} {100 * least:>8.0f} %  {bar}")
     return lines

@@ -97,7 +97,9 @@ def _claim(tolerance_mm: float | None, pod: Path | None, certainty: float | None
     sizing, wanted = read_pod(pod).sizing, certainty or CERTAINTY
     found = {kind: one.tolerance_mm for kind, its in sizing for one in its.tolerances if one.certainty == wanted}
     if not found:
-        raise AnnulusError(f"{pod}: states no tolerance at {wanted:.0%} certainty. Expected --certainty 0.8 or 0.9.")
+        raise AnnulusError(
+            f"{pod}: states no tolerance at {100 * wanted:.0f} % certainty. Expected --certainty 0.8 or 0.9."
+        )
     return ToolClaim(wanted, tuple(found.items()), pod.name)
 
 

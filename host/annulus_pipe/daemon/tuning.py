@@ -74,7 +74,8 @@ class Tuned:
                 lines.append(f"head.toml: {key} is {abs(more):.0f} us too {'small' if more > 0.0 else 'large'}")
         if one.banding is not None and one.light is not None and one.saturated is not None:
             lines.append(
-                f"tried: bands of {one.banding:.1%}, light {one.light:.1f} of 255, {one.saturated:.1%} saturated"
+                f"tried: bands of {100 * one.banding:.1f} %, light {one.light:.1f} of 255, "
+                f"{100 * one.saturated:.1f} % saturated"
             )
         return lines
 

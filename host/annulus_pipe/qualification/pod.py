@@ -110,7 +110,7 @@ class FalseCalls:
         again = f" ({self.pipe_m:.3g} m of pipe, passed again)" if self.pipe_m < 0.99 * self.inspected_m else ""
         return (
             f"false calls: {self.count} in {self.inspected_m:.3g} m{again}, {_rate(self.per_100_m)} per 100 m"
-            f" ({_rate(self.lower)} to {_rate(self.upper)}, {self.confidence:.0%} confidence)"
+            f" ({_rate(self.lower)} to {_rate(self.upper)}, {100 * self.confidence:.0f} % confidence)"
         )
 
 
@@ -166,7 +166,7 @@ class Detectability:
             lines.append(
                 f"{least.detected} of {least.laid} between {digits(least.from_mm, MEASURE)} and"
                 f" {digits(least.to_mm, MEASURE)} mm were detected: POD on average over these at least"
-                f" {math.floor(100 * least.pod)} % ({CONFIDENCE:.0%} confidence)"
+                f" {math.floor(100 * least.pod)} % ({100 * CONFIDENCE:.0f} % confidence)"
             )
         if row.response is not None and row.response.a9095_mm is not None:
             lines.append(
@@ -179,7 +179,7 @@ class Detectability:
             if name == kind and named.n:
                 lines.append(
                     f"named right: {named.hits} of {named.n} detected, {100 * named.lower:.0f} to"
-                    f" {100 * named.upper:.0f} % ({named.confidence:.0%} confidence)"
+                    f" {100 * named.upper:.0f} % ({100 * named.confidence:.0f} % confidence)"
                 )
         for name, sized in self.sizing:
             if name == kind:

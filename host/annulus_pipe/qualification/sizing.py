@@ -85,7 +85,7 @@ class SizingTolerance:
     needed: int
 
     def statement(self, n: int) -> str:
-        what = f"tolerance at {self.certainty:.0%} certainty, {self.confidence:.0%} confidence"
+        what = f"tolerance at {100 * self.certainty:.0f} % certainty, {100 * self.confidence:.0f} % confidence"
         if self.basis is Basis.NONE:
             return f"{what}: cannot be told, {n} of {self.needed} errors needed"
         return f"{what}: ± {digits_k2(self.tolerance_mm, MEASURE)} mm ({self.basis})"
@@ -116,7 +116,8 @@ class Sizing:
         if self.n:
             mean = f"mean error {quoted(self.mean_mm, MEASURE, self.mean_k_mm)}"
             if math.isfinite(self.sd_mm):
-                mean += f" ({self.confidence:.0%} confidence), standard deviation {digits_k2(self.sd_mm, MEASURE)} mm"
+                mean += f" ({100 * self.confidence:.0f} % confidence), "
+                mean += f"standard deviation {digits_k2(self.sd_mm, MEASURE)} mm"
             lines.append(f"{mean}, of {self.n} sizes")
         if self.n and self.sd_own_mm == 0.0:
             lines.append("the errors are no larger than what the true sizes may be off themselves")

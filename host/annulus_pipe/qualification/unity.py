@@ -94,7 +94,8 @@ class ToolClaim:
             for kind, mm in self.tolerances
         ]
         what = ", ".join(within) or "each its own k = 2"
-        return f"Claim: {self.certainty:.0%} of depths within {what} ({self.basis}), the dig's own uncertainty added."
+        part = f"{100 * self.certainty:.0f} % of depths within {what}"
+        return f"Claim: {part} ({self.basis}), the dig's own uncertainty added."
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,8 @@ class NextDig:
         at = f"{place.kind} at {quoted(place.z_mm, DISTANCE)}, clock {clock_face(place.clock_deg)}"
         why = f"no {place.kind} was verified yet; " if self.new_kind else ""
         depth = quoted(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=place.at_least)
-        return f"{place.name}, {at}, {depth} ({why}the region of bias and slope would shrink to {self.remains:.0%})"
+        shrinks = f"the region of bias and slope would shrink to {100 * self.remains:.0f} %"
+        return f"{place.name}, {at}, {depth} ({why}{shrinks})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +165,7 @@ class Unity:
         agrees = "unity lies in their joint region" if line.is_unity else "unity lies outside of their joint region"
         return (
             f"Reported = {quoted(line.intercept_mm, MEASURE, line.intercept_k_mm)} + ({line.slope:.3f} ± "
-            f"{line.slope_k:.3f}) · dug, {line.confidence:.0%} confidence: {agrees}."
+            f"{line.slope_k:.3f}) · dug, {100 * line.confidence:.0f} % confidence: {agrees}."
         )
 
     def statement(self) -> list[str]:
@@ -172,8 +174,8 @@ class Unity:
         if self.confirmed.n:
             there = self.confirmed
             lines.append(
-                f"{there.hits} of {there.n} listed places that were dug are there: {there.lower:.0%} to "
-                f"{there.upper:.0%} of all, {there.confidence:.0%} confidence."
+                f"{there.hits} of {there.n} listed places that were dug are there: {100 * there.lower:.0f} % to "
+                f"{100 * there.upper:.0f} % of all, {100 * there.confidence:.0f} % confidence."
             )
         missed = self.count(Dug.MISSED)
         lines.append(f"{missed} of {missed + self.count(Dug.FOUND)} dug defects not listed. {CHOSEN}")

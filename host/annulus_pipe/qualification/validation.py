@@ -83,12 +83,12 @@ class ClaimJudgement:
     needed: int
 
     def statement(self) -> str:
-        claim = f"{self.certainty:.0%} within tolerance"
+        claim = f"{100 * self.certainty:.0f} % within tolerance"
         if not self.n:
             return f'The claim "{claim}" was not tried: {self.needed} measurements, all within, would accept it.'
         counted = (
-            f"{self.within} of {self.n} within tolerance: {self.proportion.lower:.0%} to {self.proportion.upper:.0%} "
-            f"of all with {self.confidence:.0%} confidence"
+            f"{self.within} of {self.n} within tolerance: {100 * self.proportion.lower:.0f} % to "
+            f"{100 * self.proportion.upper:.0f} % of all with {100 * self.confidence:.0f} % confidence"
         )
         match self.outcome:
             case Outcome.ACCEPTED:

@@ -51,7 +51,7 @@ def pod_page(found: Detectability, drawn: dict[str, bytes]) -> str:
         calls=found.false_calls.statement(),
         rows=[cells for one in found.rows for cells in _cells(one)],
         asked=TARGETS_ASKED,
-        confidence=f"{CONFIDENCE:.0%}",
+        confidence=f"{100 * CONFIDENCE:.0f} %",
         pictures=list(drawn),
     )
 
@@ -122,7 +122,7 @@ def _draw_pod(axes: Any, fit: PodFit, trials: Sequence[tuple[float, bool]], colo
             axes.plot(*zip(*at, strict=True), mark, ms=4, mec=FAINT, label=name, clip_on=False, **shown)
     if fit.curve is not None:
         axes.plot(fit.curve.size_mm, fit.curve.pod, color=colour, lw=1.8, label="POD")
-        name = f"lower bound, {CONFIDENCE:.0%} confidence"
+        name = f"lower bound, {100 * CONFIDENCE:.0f} % confidence"
         axes.plot(fit.curve.size_mm, fit.curve.lower, color=colour, lw=1.2, ls=(0, (4, 3)), label=name)
     axes.axhline(POD, color=FAINT, lw=0.6, alpha=0.5)
     if fit.a9095_mm is not None:
@@ -171,7 +171,7 @@ def _depth(found: Detectability, kind: str, its: Sequence[Trial]) -> bytes:
     for name, sizing in found.sizing:
         for one in sizing.tolerances if name == kind else ():
             if one.basis is not Basis.NONE:
-                words = f"{one.certainty:.0%} within ± {digits_k2(one.tolerance_mm, MEASURE)} mm"
+                words = f"{100 * one.certainty:.0f} % within ± {digits_k2(one.tolerance_mm, MEASURE)} mm"
                 style = "-" if one.certainty < POD else (0, (4, 3))
                 for side in (-1, 1):
                     right.axhline(

@@ -188,7 +188,10 @@ def _facts(unity: Unity) -> Iterator[tuple[str, str, str]]:
 
 
 def _interval(found: Proportion) -> str:
-    return f"{found.lower:.0%} to {found.upper:.0%} with {found.confidence:.0%} confidence" if found.n else "none tried"
+    if not found.n:
+        return "none tried"
+    lower, upper, confidence = (100 * one for one in (found.lower, found.upper, found.confidence))
+    return f"{lower:.0f} % to {upper:.0f} % with {confidence:.0f} % confidence"
 
 
 def _cells(row: DugPlace) -> dict[str, str]:
@@ -222,7 +225,7 @@ def _next_cells(one: NextDig) -> dict[str, str]:
         if place.arc_deg >= 360.0
         else f"{clock_face(place.clock_deg)}, {quoted(place.arc_deg, ARC)}",
         "depth": quoted(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=place.at_least),
-        "remains": f"{one.remains:.0%}",
+        "remains": f"{100 * one.remains:.0f} %",
         "why": f"no {place.kind} was verified yet" if one.new_kind else "",
     }
 

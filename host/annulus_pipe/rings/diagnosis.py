@@ -188,7 +188,8 @@ def exposure_findings(exposures: Sequence[tuple[int, FrameLighting]]) -> tuple[F
         where = f"{clock_face(start)} to {clock_face(start + arc)}"
         text = (
             f"a band is over-exposed as the camera sees it, clock {where}: most stripes there are at full scale in "
-            f"more than {GLARE_FRAMES:.0%} of the projector frames, edges are drawn outwards and colours may be misread"
+            f"more than {100 * GLARE_FRAMES:.0f} % of the projector frames, "
+            "edges are drawn outwards and colours may be misread"
         )
         out.append(Finding(Trouble.OVER_EXPOSED, text))
     return tuple(out)

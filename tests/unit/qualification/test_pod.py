@@ -65,12 +65,12 @@ def test_a_report_has_plain_lines() -> None:
     assert lines[0].endswith("detected; ASTM E2862)")
     assert any("by what was reported of depths" in one and "ASTM E3023" in one for one in lines)
     assert any("beside a joint" in one for one in lines) and any("away from joints" in one for one in lines)
-    assert any(one.startswith("named right: ") for one in lines) and any("tolerance at 80%" in one for one in lines)
+    assert any(one.startswith("named right: ") for one in lines) and any("tolerance at 80 %" in one for one in lines)
     assert all("\n" not in one and len(one) < 160 for one in lines)
     assert study().statement("bump") == ("a90/95 not established (bumps): none was laid",)
     length = study().row("loss", "length")
     assert length is not None and length.fit.why == "all laid were of one size: it says nothing of others"
-    assert "0 per 100 m (0 to 332, 95% confidence)" in FalseCalls.of(0, 1.11).statement()
+    assert "0 per 100 m (0 to 332, 95 % confidence)" in FalseCalls.of(0, 1.11).statement()
 
 
 def test_the_true_a90_lies_below_what_is_stated() -> None:

@@ -100,7 +100,7 @@ def test_a_study_of_detection_states_what_is_claimed_and_of_which_head(results: 
     rows = "A,loss,400,90,1.55,0.02,,\nB,bump,900,90,2.0,0.02,,\n"
     lines = run(results, rows, "--pod", str(pod)).stdout.splitlines()
     assert lines[0].startswith("1 of 1 within tolerance")  # of bumps it states nothing
-    assert "80% of depths within loss ± 0.10 mm" in lines[1] and "(pod.json)" in lines[1]
+    assert "80 % of depths within loss ± 0.10 mm" in lines[1] and "(pod.json)" in lines[1]
     assert any("and the diameter is 90 mm" in line for line in lines)
 
 
@@ -109,7 +109,7 @@ def test_two_claims_and_a_certainty_that_nobody_states_get_one_line(results: Pat
     write_pod(pod, 90.0)
     for words, why in (
         (("--pod", str(pod), "--tolerance-mm", "1"), "--tolerance-mm and --pod are both a claim"),
-        (("--pod", str(pod), "--certainty", "0.7"), "states no tolerance at 70% certainty"),
+        (("--pod", str(pod), "--certainty", "0.7"), "states no tolerance at 70 % certainty"),
         (("--pod", str(results / "summary.json")), "expected annulus-pod/1"),
     ):
         error = run(results, "A,loss,400,90,1.5,,,\n", *words).exception

@@ -208,7 +208,7 @@ def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, t
     mean = np.where(whole, np.where(np.isfinite(images), images, 0).mean(axis=0), 0)
     on = (mean > DARK * np.percentile(mean, 99)).astype(np.uint8)
     if on.mean() < LIT_LEAST:
-        raise AnnulusError(f"{on.mean():.1%} of the image is lit: no fringes of light on a pipe's wall")
+        raise AnnulusError(f"{100 * on.mean():.1f} % of the image is lit: no fringes of light on a pipe's wall")
     ahead, phase = _wall_seen(eye, radius_mm)
     # a trough may be as dark as no light at all: across the fringes, dark no longer than a fringe is lit
     if eye.camera.rotation[2][2] > STRAIGHT and eye.projector.kind == "rings":

@@ -110,7 +110,7 @@ def ring_slide(
     left = float(slide.modulation(np.array([slide.inner_mm]))[0])
     if left < FULL_MODULATION_LEAST:
         raise AnnulusError(
-            f"a defocus of {defocus_mm:g} mm leaves {left:.0%} of the innermost rings' modulation, expected "
-            f"{FULL_MODULATION_LEAST:.0%} or more: a longer period, a wider inner angle, or sharper"
+            f"a defocus of {defocus_mm:g} mm leaves {100 * left:.0f} % of the innermost rings' modulation, expected "
+            f"{100 * FULL_MODULATION_LEAST:.0f} % or more: a longer period, a wider inner angle, or sharper"
         )
     return slide

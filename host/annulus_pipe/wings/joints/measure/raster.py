@@ -256,7 +256,8 @@ def place(raster: Raster, surface: Surface, seed: int = 0) -> PlacedRaster:
     if not p <= P_MOST:
         why.append(f"a raster of the same waviness fits as well by chance with p {p:.3f}, expected {P_MOST:g} or less")
     if explained < EXPLAINED:
-        why.append(f"the CT explains {100 * explained:.0f} % of what varies with the angle, expected {EXPLAINED:.0%}")
+        share, expected = 100 * explained, 100 * EXPLAINED
+        why.append(f"the CT explains {share:.0f} % of what varies with the angle, expected {expected:.0f} %")
     if odds < ODDS:
         why.append("another angle explains it nearly as well")
     shift = (found.shift - sense * raster.angle[0]) % (2 * math.pi)
