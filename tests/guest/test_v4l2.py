@@ -193,3 +193,17 @@ def test_a_device_that_breaks_or_goes_is_one_error_at_once_and_its_return_is_a_s
     assert going["while gone"] == "/dev/video0: no such camera: it was unplugged, or has no driver"
     assert max(going[name]["seconds"] for name in ("broken", "gone")) < 2.0
     in_step(going["back"])
+
+
+@pytest.mark.deep(gate="tests/unit/capture/test_opencv.py::test_a_frame_has_the_drivers_stamp_its_arrival_and_no_count")
+def test_through_opencv_frames_have_the_drivers_stamps_and_no_count(vivid: Guest) -> None:
+    facts = chapter(vivid, "opencv")
+    assert "OpenCV does not open it" in facts["absent"]
+    assert "expected YU12 1664x1232 at 25" in facts["size"] and "expected MJPG 640x360 at 25" in facts["format"]
+    assert facts["shape"] == "(360, 640, 3)" and not facts["counted"]
+    assert all(0 <= late < PERIOD + JITTER for late in facts["late_ns"])
+    assert all(
+        step > 0 for step in facts["steps_ns"]
+    )  # the driver may lose some on a busy machine, and no count shows it
+    assert abs(sorted(facts["steps_ns"])[len(facts["steps_ns"]) // 2] - PERIOD) < PERIOD // 4
+    assert "gone" in facts["gone"] or "no frame within" in facts["gone"]

@@ -11,11 +11,13 @@ import os
 import struct
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from annulus_pipe.capture import videodev
 from annulus_pipe.capture.camera import CapturedFrame, grab
+from annulus_pipe.capture.opencv import OpenCVCamera
 from annulus_pipe.capture.pixels import ENCODINGS_OF
 from annulus_pipe.capture.v4l2 import V4L2Camera
 from annulus_pipe.vocabulary import AnnulusError
@@ -64,6 +66,44 @@ def refusals() -> dict[str, str]:
     with Streaming() as frames:  # and nothing of it stays
         said["afterwards"] = str(next(frames).image.shape)
     return said
+
+
+def opencv() -> dict[str, Any]:
+    """The same device through OpenCV's capture: stamps, counts, and what it refuses."""
+    facts: dict[str, Any] = {}
+    for name, wanted in (
+        ("absent", {}),
+        ("size", {"width": 1664, "height": 1232}),
+        ("format", {**SIZE, "fourcc": "MJPG"}),
+    ):
+        try:
+            OpenCVCamera("/dev/video77" if name == "absent" else WEBCAM, **wanted)  # type: ignore[arg-type]
+            facts[name] = ""
+        except AnnulusError as error:
+            facts[name] = str(error)
+    camera = OpenCVCamera(WEBCAM, fourcc="YUYV", **SIZE)
+    camera.start()
+    facts["controls"] = []
+    for controls in ({"AeEnable": False}, {"AnalogueGain": 100.0}):
+        try:
+            camera.set_controls(controls)
+        except AnnulusError as error:
+            facts["controls"].append(str(error))
+    frames = [grab(camera) for _ in range(30)]
+    facts["shape"] = str(frames[0].image.shape)
+    facts["counted"] = any(frame.sequence is not None for frame in frames)
+    facts["late_ns"] = [frame.arrived_ns - frame.timestamp_ns for frame in frames]
+    facts["steps_ns"] = [b.timestamp_ns - a.timestamp_ns for a, b in pairwise(frames)]
+    vivid(DISCONNECT)
+    facts["gone"] = ""
+    for _ in range(20):  # what the driver had already comes first
+        try:
+            grab(camera)
+        except (AnnulusError, TimeoutError) as error:
+            facts["gone"] = str(error)
+            break
+    camera.close()
+    return facts
 
 
 def formats() -> dict[str, Any]:
@@ -268,7 +308,7 @@ def bars_of(frame: CapturedFrame) -> Any:
     return [frame.image[row, width * (2 * bar + 1) // 16 & ~1].tolist() for bar in range(8)]
 
 
-CHAPTERS = {chapter.__name__: chapter for chapter in (refusals, formats, our_size, streaming, going)}
+CHAPTERS = {chapter.__name__: chapter for chapter in (refusals, formats, our_size, streaming, going, opencv)}
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parent))

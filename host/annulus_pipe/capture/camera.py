@@ -35,6 +35,10 @@ class EndOfFrames(Exception):
     """The file or folder has no frame left. A live camera never raises it."""
 
 
+class NoSuchControl(AnnulusError):
+    """The device cannot be set to this."""
+
+
 @runtime_checkable
 class CompletedRequest(Protocol):
     """One captured frame that still belongs to the camera (Picamera2: CompletedRequest). Release it soon."""

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.capture import videodev as v4l2
-from annulus_pipe.capture.camera import CompletedRequest, HeldRequest, OneRequest
+from annulus_pipe.capture.camera import CompletedRequest, HeldRequest, NoSuchControl, OneRequest
 from annulus_pipe.capture.pixels import ENCODINGS_OF, Layout
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -32,10 +32,6 @@ RATE_TOLERANCE = 0.05  # .. to see that they come at the rate the driver said; 2
 EXPOSURE_UNIT_US = 100
 STALE_MAX = 2 * BUFFERS  # frames from before the start, until that is no accident any more
 EARLY_PERIODS = 2  # a stamp may be the end of a readout still under way, but no later
-
-
-class NoSuchControl(AnnulusError):
-    """The device cannot be told this."""
 
 
 class V4L2Camera(OneRequest):

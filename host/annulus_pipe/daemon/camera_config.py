@@ -5,8 +5,8 @@ from typing import Literal
 
 from annulus_pipe.capture.timing import FrameTiming
 
-CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
-CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
+CameraKind = Literal["v4l2", "picamera2", "opencv", "video", "folder", "remote"]
+CAMERA_KINDS = ("v4l2", "picamera2", "opencv", "video", "folder", "remote")
 Trigger = Literal["none", "xtrig", "pulse", "xtrig_on_sync", "pulse_on_sync"]
 FILES = ("video", "folder")  # cameras that end, and do not come back
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from annulus_pipe.capture.camera import CameraDriver
+from annulus_pipe.capture.camera import CameraDriver, NoSuchControl
 from annulus_pipe.capture.picamera import configure
 from annulus_pipe.capture.remote import RemoteCamera
-from annulus_pipe.capture.v4l2 import NoSuchControl, V4L2Camera
+from annulus_pipe.capture.v4l2 import V4L2Camera
 from annulus_pipe.daemon.camera_config import CameraConfig
 from annulus_pipe.extras import adds
 from annulus_pipe.untrusted import one_line
@@ -30,11 +30,14 @@ def open_camera(wanted: CameraConfig, number: int) -> CameraDriver:
 
 
 def _open(wanted: CameraConfig, number: int) -> CameraDriver:
-    fps = wanted.timing.fps
+    fps, size = wanted.timing.fps, {"width": wanted.width, "height": wanted.height}
     match wanted.kind:
         case "v4l2":
-            size = {"width": wanted.width, "height": wanted.height}
             return V4L2Camera(wanted.device, fourcc=wanted.format, **size, fps=fps, timeout_s=FRAME_WAIT_S)
+        case "opencv":
+            from annulus_pipe.capture.opencv import OpenCVCamera
+
+            return OpenCVCamera(wanted.device, fourcc=wanted.format, **size, fps=fps)
         case "video":
             from annulus_pipe.daemon.filmed import VideoFileCamera  # here: an intake that takes over has no time for it
 
@@ -95,7 +98,7 @@ def apply_controls(camera: CameraDriver, config: CameraConfig) -> list[str]:
     Returns what the camera cannot be told, for the operator. Raises AnnulusError when it does not do what it was told.
     """
     remarks = []
-    if config.kind == "v4l2":  # Picamera2 was told when it was configured
+    if config.kind in ("v4l2", "opencv"):  # Picamera2 was told when it was configured
         period_us = round(config.timing.period_us)
         for controls in (
             {"AeEnable": False, "FrameDurationLimits": (period_us, period_us)},

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from annulus_pipe.capture import v4l2, videodev
-from annulus_pipe.capture.camera import grab
+from annulus_pipe.capture.camera import NoSuchControl, grab
 from annulus_pipe.capture.v4l2 import V4L2Camera
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -228,7 +228,7 @@ def test_everything_automatic_is_turned_off_and_what_is_not_done_is_said(started
         videodev.CID_EXPOSURE_AUTO_PRIORITY: 0,
         videodev.CID_AUTOGAIN: 0,
     }
-    with pytest.raises(v4l2.NoSuchControl, match="has no AnalogueGain to set"):
+    with pytest.raises(NoSuchControl, match="has no AnalogueGain to set"):
         camera.set_controls({"AnalogueGain": 2.0})
     driver.set = lambda id, value: min(value, 333)  # type: ignore[method-assign]
     with pytest.raises(AnnulusError, match=r"exposure is 333, expected 380 \(x 100 us\); it takes 1 to 333"):

@@ -33,6 +33,7 @@ class Faults:
     """Each a function of the frame's number."""
 
     stamp_ms: Callable[[int], float] = lambda k: 0.0  # on top of what the driver always says
+    on_arrival: bool = False  # the driver's stamps do not reach us: a frame's is the moment we had it
     count: Callable[[int], int | None] = lambda k: 1000 + k
     dropped: Callable[[int], bool] = lambda k: False
     edge_lost: Callable[[int], bool] = lambda k: False
@@ -149,6 +150,8 @@ class Bench:
         )
         came = max(came, START + self.faults.stall_until(k) * PERIOD + 6 * MS, self.taken_ns + 2 * MS)
         self.taken_ns = came
+        if self.faults.on_arrival:
+            stamp = came
         shown = self.faults.pictured(k)
         light = {Lamp.LED: Light.LED, Lamp.PROJECTOR: Light.PROJECTOR, Lamp.DARK: Light.DARK}[self.lamp(shown - 1)]
         if self.faults.blank(k):

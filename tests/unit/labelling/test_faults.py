@@ -120,6 +120,18 @@ def test_where_it_does_not_count_only_the_frames_that_waited_are_unknown(seconds
     assert set(score.unknown) <= {0, *range(AT, AT + stalled + 4 + stalled // 15)}
 
 
+@pytest.mark.parametrize("seconds", [0.1, 2.0])
+def test_where_nothing_but_arrivals_is_known_a_stall_and_a_loss_cost_labels_and_make_none_wrong(seconds: float) -> None:
+    """As through OpenCV, where the driver's stamps do not pass: no count, and stamp and arrival are one."""
+    stalled = round(seconds * 25)
+    faults = Faults(count=NOBODY_COUNTS, on_arrival=True, **with_preamble(4))
+    faults.stall_until = lambda k: (AT + stalled) * (AT <= k < AT + stalled)
+    faults.dropped = lambda k: k % 83 == 50 or AT + 4 <= k < AT + stalled - 2
+    faults.kept = lambda k: (k >= 300) + (k >= 400)
+    score = run(faults, 700, offset_ms=6.0)
+    assert score.share() <= 0.5, "a camera that is known by its arrivals labels less, but it labels"
+
+
 def test_one_odd_stamp_after_a_stall_costs_two_frames() -> None:
     """Those that had waited came sooner one after the other, and the count missed none of them."""
     faults = Faults(**with_preamble(4), stamp_ms=lambda k: 3 * FRAME_MS * (k == AT + 15))
