@@ -17,6 +17,9 @@ app = verbs()
 Code = Annotated[
     str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or 0s and 1s.")
 ]
+PowerKw = Annotated[float, typer.Option(help="Of the microwave source, peak, kW.")]
+Standoff = Annotated[float, typer.Option(help="Receivers to the plate, mm of air.")]
+ReceiverDb = Annotated[float, typer.Option(help="The receiver's noise over air's thermal noise at its face, dB.")]
 
 
 @app.command(
@@ -284,3 +287,23 @@ def image_command(
     print(f"speed      {result.sound_speed_m_s:.1f} m/s ({how})")
     print(f"pixel      {result.pixel_mm:.3f} mm, {result.size[0]} x {result.size[1]}")
     print(f"image      {out / 'image.png'}, {out / 'image.npz'}")
+
+
+@app.command("budget", epilog="Example: annulus tai budget --depth-mm 8 --standoff-mm 20")
+def budget_command(
+    depth_mm: Annotated[float, typer.Option(help="Of the defect, below the face, mm.")] = 8.0,
+    power_kw: PowerKw = 5.0,
+    standoff_mm: Standoff = 20.0,
+    receiver_db: ReceiverDb = 20.0,
+    as_json: Json = False,
+) -> None:
+    """What single-sided sound through air has to make up, in dB, each term with its source; what codes make of it.
+
+    Of a delamination and of a water pocket (1 mm thick), both 12 mm wide, in a plate of 20 mm of glass and epoxy.
+    """
+    from annulus_pipe.wings.tai import show
+    from annulus_pipe.wings.tai.measure.budget import SingleSidedRig
+
+    rig = SingleSidedRig(power_w=1e3 * power_kw, standoff_mm=standoff_mm, receiver_db=receiver_db)
+    fields = show.budget_fields(rig, depth_mm)
+    print(json.dumps(fields) if as_json else "\n".join(show.budget_lines(fields)))

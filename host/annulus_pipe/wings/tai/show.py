@@ -1,11 +1,22 @@
-"""`annulus burst show`: a pattern and its timing, in letters, as fields and as a picture."""
+"""`annulus burst show` and `annulus tai budget`: a pattern and its timing, a budget; in letters and as fields."""
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from annulus_pipe.controller import TICKS_PER_US, TRIGGER_TICKS
 from annulus_pipe.link.codes import LimitCheck, Train, text
 from annulus_pipe.vocabulary import AnnulusError
+from annulus_pipe.wings.tai.measure.budget import (
+    NEEDED_DB,
+    SEQUENCES,
+    Laminate,
+    SingleSidedRig,
+    budget,
+    code_cost,
+    warming_k_s,
+)
 
 CHIPS_A_ROW = 64
 
@@ -85,3 +96,47 @@ def picture(code: str, train: Train, out: Path) -> None:
         figure.savefig(out, dpi=150)
     except OSError as error:
         raise AnnulusError(f"{out}: cannot be written ({error.strerror}), expected a folder that takes it") from None
+
+
+def budget_fields(rig: SingleSidedRig, depth_mm: float) -> dict[str, Any]:
+    """Both kinds of defect at one depth, and every sequence, for a program and for `budget_lines`."""
+    laminate = Laminate()
+    budgets = [budget(rig, laminate, kind, depth_mm) for kind in ("delamination", "water")]
+    costs = [code_cost(name, rig) for name in SEQUENCES]
+    return {
+        "depth_mm": depth_mm,
+        "noise_pa_rthz": rig.noise_pa_rthz(),
+        "needed_db": NEEDED_DB,
+        "budgets": [asdict(one) for one in budgets],
+        "codes": [
+            asdict(cost)
+            | {f"{one.kind}_s": cost.seconds_for(one.missing_db) for one in budgets}
+            | {"water_warms_k_s": warming_k_s(rig, laminate, cost.ones * rig.pulse_s / cost.period_s)[1]}
+            for cost in costs
+        ],
+    }
+
+
+def budget_lines(fields: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for one in fields["budgets"]:
+        lines.append(f"{one['kind']} {one['depth_mm']:g} mm deep, one pulse, one shot")
+        lines += [
+            f"  {term['db']:+7.1f} dB{' Pa' if term['level'] else '   '}  {term['name']}: {term['source']}"
+            for term in one["terms"]
+        ]
+        lines += [
+            f"  {one['received_db']:+7.1f} dB Pa  at the receiver",
+            f"  {one['noise_db']:+7.1f} dB Pa  its noise in the band: {1e6 * fields['noise_pa_rthz']:.2g} uPa/rtHz",
+            f"  {one['missing_db']:+7.1f} dB     missing, to {fields['needed_db']:g} dB over the noise",
+        ]
+    lines.append(
+        "sequence        ones  gain dB  beside dB  period ms  in equal time dB  a position: delamination, water"
+    )
+    lines += [
+        f"{c['name']:<15} {c['ones']:4.0f} {c['gain_db']:8.1f} {c['sidelobe_db']:10.0f} {1e3 * c['period_s']:10.2f} "
+        f"{c['rate_db']:17.1f}  {c['delamination_s']:.2g} s, {c['water_s']:.2g} s; "
+        f"water warms {c['water_warms_k_s']:.2g} K/s"
+        for c in fields["codes"]
+    ]
+    return lines
