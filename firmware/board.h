@@ -148,11 +148,20 @@ void board_polarity(uint8_t pins, uint8_t inverted);
 // Outputs that are driven.
 uint8_t board_driven(void);
 
+// From now on the lamps of so many slides are driven as well, dark until a flash says otherwise; inverted as the
+// projector's is, which is the first of them. Those that were driven before go on being so, dark. Only while nothing is
+// armed, and after board_polarity.
+void board_slides(uint8_t count);
+
+// Slides whose lamp is driven: the projector's included, 0 where not even that one is.
+uint8_t board_slides_driven(void);
+
 // ---- sync input and lamp gates ----
 
 typedef struct {
     uint8_t tag;             // 1..255, comes back with the edge that took this flash
     uint8_t lamp;            // LAMP_*; dark fires nothing but still carries the hold-off
+    uint8_t slide;           // of the projector: which slide's lamp, from 0; one of those that board_slides drives
     uint32_t delay_ticks;    // falling edge -> lamp on
     uint32_t width_ticks;    // lamp on -> lamp off
     uint32_t holdoff_ticks;  // after the edge that takes this flash, further edges are refused for so long

@@ -7,7 +7,7 @@ enum {
     PIN_UART_TX = 0,  // UART0 TX, 1 Mbaud 8N1
     PIN_UART_RX = 1,  // UART0 RX
     PIN_SYNC = 2,  // frame sync, falling edge counts
-    PIN_PROJECTOR = 3,  // projector gate
+    PIN_PROJECTOR = 3,  // projector gate; of several slides the first one's
     PIN_LED = 4,  // LED gate
     PIN_MICROWAVE = 5,  // microwave gate
     PIN_TRIGGER = 6,  // digitizer trigger, 1 us
@@ -21,6 +21,9 @@ enum {
     PIN_ODOMETER_A = 14,  // quadrature A, four counts a cycle, A first counts up
     PIN_ODOMETER_B = 15,  // quadrature B
     PIN_CAMERA_TRIGGER = 16,  // trigger of a camera that takes one: lasts as long as it exposes
+    PIN_SLIDE_2 = 17,  // second slide's lamp, of a head whose slides are lit in turn
+    PIN_SLIDE_3 = 18,  // third slide's lamp
+    PIN_SLIDE_4 = 19,  // fourth slide's lamp
     PIN_VBUS = 24,  // 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
     PIN_STATUS = 25,  // status light: something is armed; on a Pico W it stays low, there is no light at this pin
     PIN_COUNT = 26,
@@ -28,7 +31,7 @@ enum {
 
 // One bit a pin.
 #define INPUT_PINS 0x0100F884U
-#define OUTPUT_PINS 0x02010778U
+#define OUTPUT_PINS 0x020F0778U
 #define HIGH_AT_RESET_PINS 0x0000DC87U
 _Static_assert(PIN_LED == PIN_PROJECTOR + 1, "LED next to PROJECTOR: one state machine has both");
 _Static_assert(PIN_TRIGGER == PIN_MICROWAVE + 1, "TRIGGER next to MICROWAVE: one state machine has both");

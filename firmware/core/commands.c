@@ -112,6 +112,19 @@ void holds_camera_trigger(const controller_t* const self, reply_camera_trigger_t
     }
 }
 
+uint8_t execute_slides(controller_t* const self, const command_slides_t* const command, reply_slides_t* const reply)
+{
+    return (self->armed != 0U) ? STATUS_BAD_STATE : sequencer_slides(&self->sequencer, command, &reply->detail);
+}
+
+void holds_slides(const controller_t* const self, reply_slides_t* const reply)
+{
+    if (self->sequencer.is_staged) {
+        reply->generation = self->sequencer.staged.generation;
+        reply->count = self->sequencer.staged_wiring.slides;
+    }
+}
+
 uint8_t execute_commit(controller_t* const self, const command_commit_t* const command, reply_commit_t* const reply)
 {
     (void)reply;

@@ -25,6 +25,7 @@ typedef union {
     command_preamble_t preamble;
     command_polarity_t polarity;
     command_camera_trigger_t camera_trigger;
+    command_slides_t slides;
     command_turntable_t turntable;
     command_interlock_t interlock;
 } any_command_t;
@@ -63,6 +64,8 @@ typedef union {
     reply_polarity_t polarity;
     reply_camera_trigger_t camera_trigger;
     reply_wiring_t wiring;
+    reply_slides_t slides;
+    reply_slides_lit_t slides_lit;
     reply_turntable_t turntable;
     reply_turntable_stop_t turntable_stop;
     reply_interlock_t interlock;
@@ -147,6 +150,11 @@ static uint8_t unpack(any_command_t* const command, const uint8_t id, const uint
         return command_camera_trigger_range(&command->camera_trigger);
     case COMMAND_WIRING:
         break;
+    case COMMAND_SLIDES:
+        command_slides_unpack(&command->slides, payload);
+        return command_slides_range(&command->slides);
+    case COMMAND_SLIDES_LIT:
+        break;
     case COMMAND_TURNTABLE:
         command_turntable_unpack(&command->turntable, payload);
         return command_turntable_range(&command->turntable);
@@ -223,6 +231,10 @@ static uint8_t execute(controller_t* const self, const uint8_t id, const any_com
         return execute_camera_trigger(self, &command->camera_trigger, &reply->camera_trigger);
     case COMMAND_WIRING:
         return execute_wiring(self, &reply->wiring);
+    case COMMAND_SLIDES:
+        return execute_slides(self, &command->slides, &reply->slides);
+    case COMMAND_SLIDES_LIT:
+        return execute_slides_lit(self, &reply->slides_lit);
     case COMMAND_TURNTABLE:
         return execute_turntable(self, &command->turntable, &reply->turntable);
     case COMMAND_TURNTABLE_STOP:
@@ -336,6 +348,13 @@ static void pack(const controller_t* const self, const uint8_t id, any_reply_t* 
     case COMMAND_WIRING:
         reply_wiring_pack(&reply->wiring, answer);
         break;
+    case COMMAND_SLIDES:
+        holds_slides(self, &reply->slides);
+        reply_slides_pack(&reply->slides, answer);
+        break;
+    case COMMAND_SLIDES_LIT:
+        reply_slides_lit_pack(&reply->slides_lit, answer);
+        break;
     case COMMAND_TURNTABLE:
         holds_turntable(self, &reply->turntable);
         reply_turntable_pack(&reply->turntable, answer);
@@ -387,6 +406,8 @@ void dispatch(controller_t* const self, const uint8_t line, const command_t* con
         [COMMAND_POLARITY] = NEEDS_SCHEMA,
         [COMMAND_CAMERA_TRIGGER] = NEEDS_SCHEMA,
         [COMMAND_WIRING] = NEEDS_NOTHING,
+        [COMMAND_SLIDES] = NEEDS_SCHEMA,
+        [COMMAND_SLIDES_LIT] = NEEDS_NOTHING,
         [COMMAND_TURNTABLE] = NEEDS_SCHEMA,
         [COMMAND_TURNTABLE_STOP] = NEEDS_NOTHING,
         [COMMAND_INTERLOCK] = NEEDS_SCHEMA,

@@ -950,6 +950,66 @@ void reply_wiring_unpack(reply_wiring_t* const self, const uint8_t* const payloa
     self->camera_trigger_delay = get32(payload + 9);
 }
 
+void command_slides_pack(const command_slides_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->generation);
+    put8(payload + 1, self->count);
+}
+
+void command_slides_unpack(command_slides_t* const self, const uint8_t* const payload)
+{
+    self->generation = get8(payload + 0);
+    self->count = get8(payload + 1);
+}
+
+uint8_t command_slides_range(const command_slides_t* const self)
+{
+    if (self->generation < 1U) {
+        return 0U;
+    }
+    if (self->count < 1U) {
+        return 1U;
+    }
+    if (self->count > 4U) {
+        return 1U;
+    }
+    return RANGE_OK;
+}
+
+void reply_slides_pack(const reply_slides_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put8(payload + 3, self->count);
+}
+
+void reply_slides_unpack(reply_slides_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->count = get8(payload + 3);
+}
+
+void reply_slides_lit_pack(const reply_slides_lit_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put8(payload + 3, self->count);
+    put8(payload + 4, self->driven);
+}
+
+void reply_slides_lit_unpack(reply_slides_lit_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->count = get8(payload + 3);
+    self->driven = get8(payload + 4);
+}
+
 void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, (uint32_t)self->lowest);
@@ -1267,6 +1327,10 @@ static const layout_t layouts[] = {
     {0x5B, 11, 0x61, 0, 3},  // reply camera_trigger
     {0x1C, 0, 0x82, 1, 3},  // command wiring
     {0x5C, 13, 0x49, 0, 3},  // reply wiring
+    {0x20, 2, 0xBD, 0, 4},  // command slides
+    {0x60, 4, 0xB3, 0, 4},  // reply slides
+    {0x21, 0, 0x39, 1, 4},  // command slides_lit
+    {0x61, 5, 0xE2, 0, 4},  // reply slides_lit
     {0x12, 17, 0x00, 0, 2},  // command turntable
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
@@ -1318,4 +1382,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0xFF, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0xFF, 0x03, 0x00, 0x00, 0x00};

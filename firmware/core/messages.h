@@ -8,7 +8,7 @@
 #define SCHEMA_HASH 0xD49BD1EBU
 #define PROTOCOL_VERSION 1U  // of the framing and of what is frozen
 #define MAX_WIRE 64U  // bytes of a frame, COBS code bytes and the 0x00 delimiter included
-#define LEVEL 3U  // of what was added; a side that never says its level is of level 1
+#define LEVEL 4U  // of what was added; a side that never says its level is of level 1
 #define EVENT_RING 64U  // events that can be read again
 #define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
 #define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
@@ -22,6 +22,7 @@
 #define UPDATE_MAX_BYTES 65536U  // largest application: a slot of flash
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
 #define INTERLOCK_DISAGREE_MS 5U  // two interlock inputs may contradict each other for so long: a relay's contacts
+#define SLIDES_MAX 4U  // that take the projector's flashes in turn
 #define PREAMBLE_MAX 63U  // edges of a preamble
 #define TURNTABLE_LEAD_MS 5U  // from ENABLE low to the first step: until a driver is awake it ignores STEP
 #define TURNTABLE_LAG_MS 50U  // from the last step to ENABLE high: let go while it swings, a rotor settles elsewhere
@@ -289,6 +290,10 @@ enum {
     REPLY_CAMERA_TRIGGER = 0x5B,
     COMMAND_WIRING = 0x1C,
     REPLY_WIRING = 0x5C,
+    COMMAND_SLIDES = 0x20,
+    REPLY_SLIDES = 0x60,
+    COMMAND_SLIDES_LIT = 0x21,
+    REPLY_SLIDES_LIT = 0x61,
     COMMAND_TURNTABLE = 0x12,
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
@@ -889,6 +894,43 @@ typedef struct {
 } reply_wiring_t;
 void reply_wiring_pack(const reply_wiring_t* self, uint8_t* payload);
 void reply_wiring_unpack(reply_wiring_t* self, const uint8_t* payload);
+
+// How many slides share the projector's flashes. They go with the configuration that is staged, as `polarity` does. In slot s of the lamp cycle, or at place s of a preamble, a projector's flash lights slide s modulo `count` and no other. Refused while anything is armed, and where the staged ratio is no multiple of `count`: then slides would not be lit equally often.
+#define COMMAND_SLIDES_LENGTH 2U
+typedef struct {
+    uint8_t generation;  // of the configuration that is staged
+    uint8_t count;  // 1 = one projector, at its gate
+} command_slides_t;
+void command_slides_pack(const command_slides_t* self, uint8_t* payload);
+void command_slides_unpack(command_slides_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_slides_range(const command_slides_t* self);
+
+// Answer to slides.
+#define REPLY_SLIDES_LENGTH 4U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration that is staged; 0 = none
+    uint8_t count;  // that would be in force with its commit
+} reply_slides_t;
+void reply_slides_pack(const reply_slides_t* self, uint8_t* payload);
+void reply_slides_unpack(reply_slides_t* self, const uint8_t* payload);
+
+// How many slides are lit in turn, beside `configuration` and `wiring`.
+#define COMMAND_SLIDES_LIT_LENGTH 0U
+
+// Answer to slides_lit.
+#define REPLY_SLIDES_LIT_LENGTH 5U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;  // of the configuration in force; 0 = none
+    uint8_t count;  // that share the projector's flashes
+    uint8_t driven;  // slides whose lamp's output is driven, the first one among them: 0 until a configuration is in force
+} reply_slides_lit_t;
+void reply_slides_lit_pack(const reply_slides_lit_t* self, uint8_t* payload);
+void reply_slides_lit_unpack(reply_slides_lit_t* self, const uint8_t* payload);
 
 // How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset: the widest limits, no ramp, no switches.
 #define COMMAND_TURNTABLE_LENGTH 17U

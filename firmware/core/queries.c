@@ -120,6 +120,14 @@ uint8_t execute_wiring(controller_t* const self, reply_wiring_t* const reply)
     return STATUS_OK;
 }
 
+uint8_t execute_slides_lit(controller_t* const self, reply_slides_lit_t* const reply)
+{
+    *reply = (reply_slides_lit_t){.generation = self->sequencer.config.generation,
+                                  .count = self->sequencer.wiring.slides,
+                                  .driven = board_slides_driven()};
+    return STATUS_OK;
+}
+
 uint8_t execute_image(controller_t* const self, reply_image_t* const reply)
 {
     (void)self;

@@ -21,6 +21,9 @@ enum {
 #define FIELD_TRIGGER_WIDTH 1U
 #define FIELD_TRIGGER_DELAY 2U
 
+// Of SLIDES.
+#define FIELD_SLIDES_COUNT 1U
+
 static uint32_t tolerance_ticks(const command_stage_t* const config)
 {
     return (uint32_t)(((uint64_t)config->frame_period * config->tolerance) / 1000U);
@@ -45,7 +48,8 @@ static uint8_t lamp_due(const sequencer_t* const self)
     return is_led_slot(&self->config, self->slot) ? LAMP_LED : LAMP_PROJECTOR;
 }
 
-// What the next edge has to take.
+// What the next edge has to take. Invariant: of a projector's flash the slot alone says which slide is lit, in a
+// preamble too, and it is one; so an edge's report needs no more than it always had.
 static plan_t plan_next(const sequencer_t* const self)
 {
     plan_t plan = {.slot = self->slot,
@@ -59,6 +63,7 @@ static plan_t plan_next(const sequencer_t* const self)
         plan.delay_ticks = led ? self->config.led_delay : self->config.projector_delay;
         plan.width_ticks = led ? self->config.led_width : self->config.projector_width;
         plan.lamp = (plan.width_ticks > 0U) ? lamp : LAMP_DARK;
+        plan.slide = led ? 0U : self->slot % self->wiring.slides;
     }
     return plan;
 }
@@ -106,6 +111,7 @@ static void put_in_force(sequencer_t* const self, events_t* const events, const 
     }
     self->wiring = self->staged_wiring;
     board_polarity(POLARITY_SYNC | POLARITY_OUTPUTS, self->wiring.inverted);
+    board_slides(self->wiring.slides);
     board_camera_trigger(&(board_trigger_t){.width_ticks = self->wiring.trigger_ticks,
                                             .delay_ticks = self->wiring.trigger_delay_ticks,
                                             .period_ticks = self->config.frame_period});
@@ -195,6 +201,7 @@ static void check_sync(sequencer_t* const self, events_t* const events, const ui
 void sequencer_start(sequencer_t* const self)
 {
     preamble_seed(&self->preamble, board_nonce());
+    self->wiring.slides = 1;
     self->reload = true;
 }
 
@@ -231,6 +238,7 @@ bool sequencer_load(sequencer_t* const self, events_t* const events, const uint3
     *plan = plan_next(self);
     const board_flash_t flash = {.tag = self->tag,
                                  .lamp = plan->lamp,
+                                 .slide = plan->slide,
                                  .delay_ticks = plan->delay_ticks,
                                  .width_ticks = plan->width_ticks,
                                  .holdoff_ticks = holdoff_ticks(&self->config)};
@@ -294,6 +302,12 @@ static uint8_t check_trigger(const command_stage_t* const config, const uint32_t
     return ((width < least) || ((uint64_t)delay + width + least > room)) ? FIELD_TRIGGER_WIDTH : RANGE_OK;
 }
 
+// A cycle in which one slide is lit more often than another is none that a host could want.
+static bool shares_out(const command_stage_t* const config, const uint8_t slides)
+{
+    return (slides == 1U) || ((config->ratio > 0U) && (config->ratio % slides == 0U));
+}
+
 uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const config, reply_stage_t* const reply)
 {
     reply->generation = self->config.generation;
@@ -329,6 +343,9 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
         self->staged_wiring.trigger_ticks = 0;  // but for what its period leaves no room for
         self->staged_wiring.trigger_delay_ticks = 0;
     }
+    if (!shares_out(config, self->wiring.slides)) {
+        self->staged_wiring.slides = 1;
+    }
     self->is_staged = true;
     reply->generation = config->generation;
     return STATUS_OK;
@@ -359,13 +376,27 @@ uint8_t sequencer_camera_trigger(sequencer_t* const self, const command_camera_t
     return STATUS_OK;
 }
 
+uint8_t sequencer_slides(sequencer_t* const self, const command_slides_t* const config, uint8_t* const detail)
+{
+    if (!self->is_staged || self->is_committed || (self->staged.generation != config->generation)) {
+        return STATUS_BAD_STATE;
+    }
+    if (!shares_out(&self->staged, config->count)) {
+        *detail = FIELD_SLIDES_COUNT;
+        return STATUS_OUT_OF_RANGE;
+    }
+    self->staged_wiring.slides = config->count;
+    return STATUS_OK;
+}
+
 // Does the staged configuration change what the pins do by themselves?
 static bool rewires(const sequencer_t* const self)
 {
     const wiring_t* const staged = &self->staged_wiring;
     const bool other_period = self->staged.frame_period != self->config.frame_period;
     const bool own_clock = (staged->trigger_ticks != 0U) && (staged->trigger_delay_ticks == 0U);
-    return (staged->inverted != self->wiring.inverted) || (staged->trigger_ticks != self->wiring.trigger_ticks) ||
+    return (staged->inverted != self->wiring.inverted) || (staged->slides != self->wiring.slides) ||
+           (staged->trigger_ticks != self->wiring.trigger_ticks) ||
            (staged->trigger_delay_ticks != self->wiring.trigger_delay_ticks) || (own_clock && other_period);
 }
 

@@ -17,6 +17,7 @@
 typedef struct {
     uint8_t slot;
     uint8_t lamp;
+    uint8_t slide;  // of the projector's flash, from 0
     uint32_t delay_ticks;
     uint32_t width_ticks;
     uint8_t generation;
@@ -27,6 +28,7 @@ typedef struct {
 // What goes with a configuration and is no field of `stage`.
 typedef struct {
     uint8_t inverted;              // POLARITY_*
+    uint8_t slides;                // that take the projector's flashes in turn, 1 or more
     uint32_t trigger_ticks;        // how long a camera's trigger lasts; 0 = none
     uint32_t trigger_delay_ticks;  // after an edge; 0 = one a frame period
 } wiring_t;
@@ -78,6 +80,10 @@ bool sequencer_polarity(sequencer_t* self, const command_polarity_t* config);
 // How long a trigger for cameras lasts with the configuration that is staged. A status; on refusal `detail` says which
 // field.
 uint8_t sequencer_camera_trigger(sequencer_t* self, const command_camera_trigger_t* config, uint8_t* detail);
+
+// How many slides are lit in turn with the configuration that is staged. A status; on refusal `detail` says which
+// field.
+uint8_t sequencer_slides(sequencer_t* self, const command_slides_t* config, uint8_t* detail);
 
 // Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged; or it
 // changes the wiring while something is `live`.

@@ -28,7 +28,7 @@ static void stage(const uint8_t* const bytes, uint8_t* const payload)
     const uint32_t period = FRAME_PERIOD_MIN_TICKS + 2000U * bytes[0];
     const uint32_t open = (bytes[1] & 1U) * (period / 4U);
     command_stage_pack(&(command_stage_t){.generation = 1U + bytes[2] % 3U,
-                                          .ratio = bytes[3] % 4U,
+                                          .ratio = bytes[3] % 5U,
                                           .frame_period = period,
                                           .exposure = period - open,
                                           .readout = period / 4U,
@@ -83,6 +83,10 @@ void meant_payload(const layout_t* const layout, const uint8_t bytes[const PAYLO
         break;
     case COMMAND_ARM:
         command_arm_pack(&(command_arm_t){.outputs = bytes[0] % 4U}, payload);
+        break;
+    case COMMAND_SLIDES:
+        command_slides_pack(&(command_slides_t){.generation = 1U + bytes[0] % 3U, .count = 1U + bytes[1] % SLIDES_MAX},
+                            payload);
         break;
     case COMMAND_PREAMBLE:
         command_preamble_pack(&(command_preamble_t){.length = bytes[0] % (PREAMBLE_MAX + 1U),

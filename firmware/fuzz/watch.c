@@ -16,6 +16,7 @@ static struct {
 
 static uint64_t boot_tick;
 static uint64_t risen[PIN_COUNT];
+static uint8_t lit;  // the lamp that is; PIN_COUNT: none
 static uint64_t carried_out;
 
 void require(const bool condition)
@@ -40,6 +41,7 @@ void watch_begin(void)
     memset(lines, 0, sizeof lines);
     memset(risen, 0, sizeof risen);
     boot_tick = 0;
+    lit = PIN_COUNT;
 }
 
 static bool is_good(uint8_t* const bytes, const size_t coded)
@@ -76,6 +78,11 @@ static void check_line(const uint8_t line)
     }
 }
 
+static bool is_lamp(const uint8_t pin)
+{
+    return (pin == PIN_PROJECTOR) || (pin == PIN_LED) || ((pin >= PIN_SLIDE_2) && (pin <= PIN_SLIDE_4));
+}
+
 static void check_pins(void)
 {
     native_transition_t changes[64];
@@ -85,15 +92,17 @@ static void check_pins(void)
             const uint8_t pin = changes[i].pin;
             if (changes[i].level == 1U) {
                 risen[pin] = changes[i].tick;
+                require(!is_lamp(pin) || (lit == PIN_COUNT));  // never two at once, in no tick
+                lit = is_lamp(pin) ? pin : lit;
                 continue;
             }
+            lit = (lit == pin) ? PIN_COUNT : lit;
             const uint64_t high = changes[i].tick - risen[pin];
-            require(((pin != PIN_PROJECTOR) && (pin != PIN_LED)) || (high <= LAMP_WIDTH_MAX_TICKS));
+            require(!is_lamp(pin) || (high <= LAMP_WIDTH_MAX_TICKS));
             require((pin != PIN_MICROWAVE) || (high <= MICROWAVE_PULSE_MAX_TICKS));
         }
     }
     require((native_pin(PIN_INTERLOCK) == 0U) || (native_pin(PIN_MICROWAVE) == 0U));
-    require((native_pin(PIN_PROJECTOR) & native_pin(PIN_LED)) == 0U);
 }
 
 void watch_run(const uint64_t ticks)

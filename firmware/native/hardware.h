@@ -11,6 +11,12 @@
 
 #define NEVER UINT64_MAX
 
+// The lamp's output of a slide, from 0.
+static inline uint8_t slide_pin(const uint8_t slide)
+{
+    return (slide == 0U) ? PIN_PROJECTOR : (uint8_t)(PIN_SLIDE_2 + slide - 1U);
+}
+
 // What all share.
 extern struct world {
     uint64_t now;

@@ -25,6 +25,7 @@ static struct {
     uint64_t off;
 } lamps;
 
+// Slides share one duty: what one of them may be lit, they may be together.
 static duty_t* duty_of(const uint8_t lamp)
 {
     return &lamps.duty[(lamp == LAMP_LED) ? 1 : 0];
@@ -72,7 +73,7 @@ void lamps_edge(void)
         edge->tag = flash->tag;
         lamps.holdoff = flash->holdoff_ticks;
         if ((flash->lamp != LAMP_DARK) && (flash->width_ticks > 0U)) {
-            lamps.pin = (flash->lamp == LAMP_LED) ? PIN_LED : PIN_PROJECTOR;
+            lamps.pin = (flash->lamp == LAMP_LED) ? PIN_LED : slide_pin(flash->slide);
             lamps.on = world.now + flash->delay_ticks;
             lamps.off = lamps.on + flash->width_ticks;
             duty_charge(duty_of(flash->lamp), edge->tick + flash->delay_ticks, flash->width_ticks,
@@ -162,8 +163,10 @@ void board_lamps_cut(void)
     time_pass();
     lamps.is_loaded = false;
     lamps.pin = 0;
-    pinuse_drive(PIN_PROJECTOR, 0);
     pinuse_drive(PIN_LED, 0);
+    for (uint8_t slide = 0; slide < SLIDES_MAX; slide++) {
+        pinuse_drive(slide_pin(slide), 0);
+    }
 }
 
 uint32_t board_edges_refused(void)

@@ -17,13 +17,16 @@ static uint8_t wires[PIN_COUNT];   // the input an output drives, a tick later; 
 static uint8_t pulls[PIN_COUNT];   // an output's level while nobody drives it
 static uint8_t driven[PIN_COUNT];  // an output's level by whoever makes it, before the pad inverts it
 static uint8_t gates_driven;       // POLARITY_*
+static uint8_t slides_driven;      // beside the first, which is the projector's gate
 
 static uint8_t polarity_of(const uint8_t pin)
 {
     static const uint8_t flags[PIN_COUNT] = {
-        [PIN_SYNC] = POLARITY_SYNC,       [PIN_PROJECTOR] = POLARITY_PROJECTOR,
-        [PIN_LED] = POLARITY_LED,         [PIN_MICROWAVE] = POLARITY_MICROWAVE,
-        [PIN_TRIGGER] = POLARITY_TRIGGER, [PIN_CAMERA_TRIGGER] = POLARITY_CAMERA_TRIGGER};
+        [PIN_SYNC] = POLARITY_SYNC,         [PIN_PROJECTOR] = POLARITY_PROJECTOR,
+        [PIN_LED] = POLARITY_LED,           [PIN_MICROWAVE] = POLARITY_MICROWAVE,
+        [PIN_TRIGGER] = POLARITY_TRIGGER,   [PIN_CAMERA_TRIGGER] = POLARITY_CAMERA_TRIGGER,
+        [PIN_SLIDE_2] = POLARITY_PROJECTOR, [PIN_SLIDE_3] = POLARITY_PROJECTOR,
+        [PIN_SLIDE_4] = POLARITY_PROJECTOR};
     return flags[pin];
 }
 
@@ -51,6 +54,7 @@ void pinuse_begin(void)
     }
     transition_count = 0;
     gates_driven = 0;
+    slides_driven = 0;
     world.inverted = 0;
     memset(wires, 0, sizeof wires);
 }
@@ -78,7 +82,8 @@ static void set_level(const uint8_t pin, const uint8_t level)
 static void settle(const uint8_t pin)
 {
     const uint8_t gate = polarity_of(pin);
-    const bool is_free = (gate != 0U) && ((gates_driven & gate) == 0U);
+    const bool is_idle = (pin >= PIN_SLIDE_2) && (pin <= PIN_SLIDE_4) && (pin >= PIN_SLIDE_2 + slides_driven);
+    const bool is_free = (gate != 0U) && (((gates_driven & gate) == 0U) || is_idle);
     const uint8_t level = is_inverted(pin) ? !driven[pin] : driven[pin];
     set_level(pin, is_free ? pulls[pin] : level);
 }
@@ -118,6 +123,23 @@ void pinuse_polarity(const uint8_t pins, const uint8_t inverted)
     }
 }
 
+void board_slides(const uint8_t count)
+{
+    time_pass();
+    for (; slides_driven + 1U < count; slides_driven++) {
+        driven[PIN_SLIDE_2 + slides_driven] = 0;
+    }
+    for (uint8_t pin = PIN_SLIDE_2; pin <= PIN_SLIDE_4; pin++) {
+        settle(pin);
+    }
+}
+
+uint8_t board_slides_driven(void)
+{
+    time_look();
+    return ((gates_driven & POLARITY_PROJECTOR) != 0U) ? slides_driven + 1U : 0U;
+}
+
 uint8_t board_driven(void)
 {
     time_look();
@@ -127,6 +149,7 @@ uint8_t board_driven(void)
 void pinuse_start(void)
 {
     gates_driven = 0;
+    slides_driven = 0;
     world.inverted = 0;
     for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
         if ((OUTPUT_PINS >> pin) & 1U) {

@@ -14,7 +14,7 @@
 
 // Pins the rig may drive: the controller's inputs that a player's list reaches. Those it only looks at: its outputs.
 #define RIG_DRIVES (INPUT_PINS & 0x0000FFFFU)
-#define RIG_LOOKS (OUTPUT_PINS & ~(1U << PIN_STATUS))
+#define RIG_LOOKS (OUTPUT_PINS & ((1U << PIN_MARK) - 1U))
 
 // ---- bench.c: pins, player, recorder ----
 

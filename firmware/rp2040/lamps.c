@@ -77,6 +77,15 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 #define LAMP_WIDTH_MIN_TICKS 2U
 #define HOLDOFF_AT_RESET_TICKS 100000U
 
+// What the lamp machine writes at once: from the second slide's lamp on, past pin 31, to the LED's. Pins between them
+// are no PIO0's, so that what it writes there goes nowhere; GP8 and GP16, which are, lie outside. So every flash says
+// of all lamps whether they are lit, and no two of them ever are.
+#define LAMP_PINS_FIRST PIN_SLIDE_2
+#define LAMP_PINS (32U - LAMP_PINS_FIRST + PIN_LED + 1U)
+#define LAMP_BIT(pin) (1UL << (((pin)-LAMP_PINS_FIRST) & 31U))
+_Static_assert((PIN_CAMERA_TRIGGER < PIN_SLIDE_2) && (PIN_STEP > PIN_LED), "outputs of PIO0's other machines");
+_Static_assert((PIN_SLIDE_4 == PIN_SLIDE_2 + 2) && (SLIDES_MAX == 4U), "slides side by side");
+
 #define EDGES_KEPT 128U  // a stall of 100 ms at the shortest hold-off; then the watchdog bites
 #define EDGE_RING_BITS 9U
 
@@ -103,6 +112,7 @@ static struct {
 
 // ---- edges ----
 
+// Slides share one duty: what one of them may be lit, they may be together.
 static duty_t* duty_of(const uint8_t lamp)
 {
     return &lamps.duty[(lamp == LAMP_LED) ? 1 : 0];
@@ -354,6 +364,14 @@ static bool would_owe(const board_flash_t* const flash)
     return !duty_allows(duty_of(flash->lamp), first_edge + flash->delay_ticks);
 }
 
+static uint32_t gate_of(const board_flash_t* const flash)
+{
+    if (flash->lamp == LAMP_LED) {
+        return LAMP_BIT(PIN_LED);
+    }
+    return (flash->slide == 0U) ? LAMP_BIT(PIN_PROJECTOR) : LAMP_BIT(PIN_SLIDE_2) << (flash->slide - 1U);
+}
+
 bool board_flash_load(const board_flash_t* const flash)
 {
     settle();
@@ -368,7 +386,7 @@ bool board_flash_load(const board_flash_t* const flash)
     if (owes || (lit && (lamps.holdoff < flash->holdoff_ticks))) {
         return true;  // the next edge may come too soon for it, or its hold-off be too short: let that edge pass
     }
-    const uint32_t gates = (flash->lamp == LAMP_LED) ? 1U << (PIN_LED - PIN_PROJECTOR) : (lit ? 1U : 0U);
+    const uint32_t gates = lit ? gate_of(flash) : 0U;
     lamps.tag = flash->tag;
     lamps.lamp = flash->lamp;
     lamps.delay = flash->delay_ticks;
@@ -407,8 +425,11 @@ void lamps_start(void)
     pio_load(PIO0, 0U, program, PROGRAM_LENGTH);
     REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(PIN_SYNC) | EXEC_WRAP(HIGH, HIGH + 1U);
     REGISTER(PIO_EXECCTRL(PIO0, LAMP_MACHINE)) = EXEC_WRAP(LAMP_IDLE, PROGRAM_LENGTH - 2U);
-    REGISTER(PIO_PINCTRL(PIO0, LAMP_MACHINE)) = PINS_OUT(PIN_PROJECTOR, 2U) | PINS_SET(PIN_PROJECTOR, 2U);
+    const uint32_t lamp_pins = PINS_OUT(LAMP_PINS_FIRST, LAMP_PINS);
+    REGISTER(PIO_PINCTRL(PIO0, LAMP_MACHINE)) = lamp_pins | PINS_SET(PIN_SLIDE_2, SLIDES_MAX - 1U);
     lamp_execute(MOV_PINS_NULL);
+    lamp_execute(SET_DIRECTIONS((1U << (SLIDES_MAX - 1U)) - 1U));
+    REGISTER(PIO_PINCTRL(PIO0, LAMP_MACHINE)) = lamp_pins | PINS_SET(PIN_PROJECTOR, 2U);
     lamp_execute(SET_DIRECTIONS(3U));
     lamp_execute(JMP(LAMP_IDLE));
 

@@ -11,15 +11,20 @@ static const struct {
     uint8_t flag;  // POLARITY_*
     uint8_t pin;
     uint8_t function;
-} gates[] = {{POLARITY_PROJECTOR, PIN_PROJECTOR, FUNCTION_PIO0},
-             {POLARITY_LED, PIN_LED, FUNCTION_PIO0},
-             {POLARITY_MICROWAVE, PIN_MICROWAVE, FUNCTION_PIO1},
-             {POLARITY_TRIGGER, PIN_TRIGGER, FUNCTION_PIO1},
-             {POLARITY_CAMERA_TRIGGER, PIN_CAMERA_TRIGGER, FUNCTION_PIO0}};
+    uint8_t slide;  // of which it is the lamp's, from 0; of other lamps 0
+} gates[] = {{POLARITY_PROJECTOR, PIN_PROJECTOR, FUNCTION_PIO0, 0},
+             {POLARITY_PROJECTOR, PIN_SLIDE_2, FUNCTION_PIO0, 1},
+             {POLARITY_PROJECTOR, PIN_SLIDE_3, FUNCTION_PIO0, 2},
+             {POLARITY_PROJECTOR, PIN_SLIDE_4, FUNCTION_PIO0, 3},
+             {POLARITY_LED, PIN_LED, FUNCTION_PIO0, 0},
+             {POLARITY_MICROWAVE, PIN_MICROWAVE, FUNCTION_PIO1, 0},
+             {POLARITY_TRIGGER, PIN_TRIGGER, FUNCTION_PIO1, 0},
+             {POLARITY_CAMERA_TRIGGER, PIN_CAMERA_TRIGGER, FUNCTION_PIO0, 0}};
 #define GATES (sizeof gates / sizeof gates[0])
 
 static uint8_t gates_driven;
 static uint8_t gates_inverted;  // those of the driven ones
+static uint8_t slides_driven;   // beside the first
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
 static volatile bool hurried;
@@ -56,7 +61,7 @@ void board_polarity(const uint8_t pins, const uint8_t inverted)
     for (size_t gate = 0; gate < GATES; gate++) {
         const uint8_t flag = gates[gate].flag;
         const bool stands = ((gates_driven & flag) != 0U) && (((gates_inverted ^ inverted) & flag) == 0U);
-        if (((pins & flag) != 0U) && !stands) {
+        if (((pins & flag) != 0U) && !stands && (gates[gate].slide <= slides_driven)) {
             drive_gate(gate, (inverted & flag) != 0U);
         }
     }
@@ -69,6 +74,24 @@ void board_polarity(const uint8_t pins, const uint8_t inverted)
     }
 }
 
+// A head without slides may have anything on their pins: nothing is driven there before a host wants it.
+void board_slides(const uint8_t count)
+{
+    for (size_t gate = 0; gate < GATES; gate++) {
+        if ((gates[gate].slide > slides_driven) && (gates[gate].slide < count)) {
+            drive_gate(gate, (gates_inverted & gates[gate].flag) != 0U);
+        }
+    }
+    if (slides_driven + 1U < count) {
+        slides_driven = (uint8_t)(count - 1U);
+    }
+}
+
+uint8_t board_slides_driven(void)
+{
+    return ((gates_driven & POLARITY_PROJECTOR) != 0U) ? slides_driven + 1U : 0U;
+}
+
 uint8_t board_driven(void)
 {
     return gates_driven;
@@ -78,7 +101,7 @@ uint8_t board_driven(void)
 void pinuse_darken(void)
 {
     for (size_t gate = 0; gate < GATES; gate++) {
-        if ((gates_driven & gates[gate].flag) != 0U) {
+        if (((gates_driven & gates[gate].flag) != 0U) && (gates[gate].slide <= slides_driven)) {
             const uint32_t dark = ((gates_inverted & gates[gate].flag) != 0U) ? OUT_HIGH : OUT_LOW;
             REGISTER(GPIO_CTRL(gates[gate].pin)) = gates[gate].function | OUT_ENABLED | dark;
         }

@@ -18,6 +18,7 @@ void queries_tests(void);
 void configuration_tests(void);
 void polarity_tests(void);
 void camera_trigger_tests(void);
+void slides_tests(void);
 void ranges_tests(void);
 void sequencer_tests(void);
 void lamps_tests(void);

@@ -42,6 +42,7 @@ int main(void)
     configuration_tests();
     polarity_tests();
     camera_trigger_tests();
+    slides_tests();
     ranges_tests();
     sequencer_tests();
     lamps_tests();

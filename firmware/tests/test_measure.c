@@ -126,7 +126,7 @@ static void edges_that_a_measurement_left_uncounted_say_so(void)
     EXPECT_EQ(measure(0, 0, 0, 0), STATUS_OK);
     EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, EDGE_ODOMETER_FROZEN);
     EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, 0);
-    for (uint8_t lower = 1; lower < LEVEL; lower++) {
+    for (uint8_t lower = 1; lower < 3U; lower++) {
         rig_status_of(COMMAND_INFO, &lower);
         EXPECT_EQ(measure(1, PIN_STEP, 1, 0), STATUS_OK);
         EXPECT_EQ(edge().flags & EDGE_ODOMETER_FROZEN, 0);  // it would not know the flag

@@ -17,6 +17,7 @@ UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
 UPDATE_MAX_BYTES = 65536  # largest application: a slot of flash
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
 INTERLOCK_DISAGREE_MS = 5  # two interlock inputs may contradict each other for so long: a relay's contacts
+SLIDES_MAX = 4  # that take the projector's flashes in turn
 PREAMBLE_MAX = 63  # edges of a preamble
 TURNTABLE_LEAD_MS = 5  # from ENABLE low to the first step: until a driver is awake it ignores STEP
 TURNTABLE_LAG_MS = 50  # from the last step to ENABLE high: let go while it swings, a rotor settles elsewhere
@@ -46,7 +47,7 @@ TURNTABLE_START_PERIOD_MAX_TICKS = 100000000  # slowest start of a ramp, step to
 PIN_UART_TX = 0  # UART0 TX, 1 Mbaud 8N1
 PIN_UART_RX = 1  # UART0 RX
 PIN_SYNC = 2  # frame sync, falling edge counts
-PIN_PROJECTOR = 3  # projector gate
+PIN_PROJECTOR = 3  # projector gate; of several slides the first one's
 PIN_LED = 4  # LED gate
 PIN_MICROWAVE = 5  # microwave gate
 PIN_TRIGGER = 6  # digitizer trigger, 1 us
@@ -60,6 +61,9 @@ PIN_INTERLOCK_ANTIVALENT = 13  # second interlock input, looked at once configur
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
 PIN_CAMERA_TRIGGER = 16  # trigger of a camera that takes one: lasts as long as it exposes
+PIN_SLIDE_2 = 17  # second slide's lamp, of a head whose slides are lit in turn
+PIN_SLIDE_3 = 18  # third slide's lamp
+PIN_SLIDE_4 = 19  # fourth slide's lamp
 PIN_VBUS = 24  # 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
 PIN_STATUS = 25  # status light: something is armed; on a Pico W it stays low, there is no light at this pin
 INPUT_PINS = (
@@ -81,6 +85,9 @@ OUTPUT_PINS = (
     PIN_DIRECTION,
     PIN_ENABLE,
     PIN_CAMERA_TRIGGER,
+    PIN_SLIDE_2,
+    PIN_SLIDE_3,
+    PIN_SLIDE_4,
     PIN_STATUS,
 )
 

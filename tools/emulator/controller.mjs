@@ -6,7 +6,7 @@ export const PIN = {
   UART_TX: 0, // UART0 TX, 1 Mbaud 8N1
   UART_RX: 1, // UART0 RX
   SYNC: 2, // frame sync, falling edge counts
-  PROJECTOR: 3, // projector gate
+  PROJECTOR: 3, // projector gate; of several slides the first one's
   LED: 4, // LED gate
   MICROWAVE: 5, // microwave gate
   TRIGGER: 6, // digitizer trigger, 1 us
@@ -20,10 +20,13 @@ export const PIN = {
   ODOMETER_A: 14, // quadrature A, four counts a cycle, A first counts up
   ODOMETER_B: 15, // quadrature B
   CAMERA_TRIGGER: 16, // trigger of a camera that takes one: lasts as long as it exposes
+  SLIDE_2: 17, // second slide's lamp, of a head whose slides are lit in turn
+  SLIDE_3: 18, // third slide's lamp
+  SLIDE_4: 19, // fourth slide's lamp
   VBUS: 24, // 5 V at the USB socket, over a Pico's own divider; looked at on a Pico only
   STATUS: 25, // status light: something is armed; on a Pico W it stays low, there is no light at this pin
 };
 export const INPUT_PINS = [2, 7, 11, 12, 13, 14, 15, 24];
-export const OUTPUT_PINS = [3, 4, 5, 6, 8, 9, 10, 16, 25];
+export const OUTPUT_PINS = [3, 4, 5, 6, 8, 9, 10, 16, 17, 18, 19, 25];
 export const OUTPUTS_HIGH_AT_RESET = [10];
 export const INPUTS_LOW_AT_REST = [13, 24];

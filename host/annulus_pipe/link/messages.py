@@ -15,7 +15,7 @@ SCHEMA_HASH = 0xD49BD1EB
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
-LEVEL = 3
+LEVEL = 4
 EVENT_RING = 64
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
@@ -482,6 +482,23 @@ class ImageReply(Reply):
     crc: int  # of the application that runs, as in its last word
 
 
+@wire("slides", 0x60, 0xB3, "B B B B", since=4)
+class SlidesReply(Reply):
+    """Answer to slides."""
+
+    generation: int  # of the configuration that is staged; 0 = none
+    count: int  # that would be in force with its commit
+
+
+@wire("slides_lit", 0x61, 0xE2, "B B B B B", since=4)
+class SlidesLitReply(Reply):
+    """Answer to slides_lit."""
+
+    generation: int  # of the configuration in force; 0 = none
+    count: int  # that share the projector's flashes
+    driven: int  # slides whose lamp's output is driven, the first one among them: 0 until a configuration is in force
+
+
 @wire("identify", 0x00, 0xA5, "B I")
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
@@ -829,6 +846,28 @@ class Image(Command):
     QUERY = True
 
 
+@wire("slides", 0x20, 0xBD, "B B", since=4)
+class Slides(Command):
+    """How many slides share the projector's flashes. They go with the configuration that is staged, as `polarity` does. In
+    slot s of the lamp cycle, or at place s of a preamble, a projector's flash lights slide s modulo `count` and no
+    other. Refused while anything is armed, and where the staged ratio is no multiple of `count`: then slides would not
+    be lit equally often.
+    """
+
+    REPLY = SlidesReply
+
+    generation: int  # of the configuration that is staged
+    count: int  # 1 = one projector, at its gate
+
+
+@wire("slides_lit", 0x21, 0x39, "", since=4)
+class SlidesLit(Command):
+    """How many slides are lit in turn, beside `configuration` and `wiring`."""
+
+    REPLY = SlidesLitReply
+    QUERY = True
+
+
 @wire("edge", 0x80, 0x15, "I I B B I I i B B")
 class Edge(Event):
     """An accepted falling edge, and what was loaded to fire after it."""
@@ -951,6 +990,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x1A: Polarity,
     0x1B: CameraTrigger,
     0x1C: Wiring,
+    0x20: Slides,
+    0x21: SlidesLit,
     0x12: Turntable,
     0x13: TurntableStop,
     0x1D: Interlock,
@@ -986,6 +1027,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x5A: PolarityReply,
     0x5B: CameraTriggerReply,
     0x5C: WiringReply,
+    0x60: SlidesReply,
+    0x61: SlidesLitReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
     0x5D: InterlockReply,
