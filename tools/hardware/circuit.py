@@ -86,7 +86,7 @@ def _supply(board: _Board) -> None:
 
 
 def _lamps(board: _Board) -> None:
-    for name in ("projector", "led"):
+    for name in ("projector", "slide_2", "slide_3", "slide_4", "led"):
         limited = board.limited(name, LAMP)
         board.two("R", "10k", limited, "gnd")  # with the gate's chip unpowered
         board.two("C", "1u", "14v5", "gnd")

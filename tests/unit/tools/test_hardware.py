@@ -20,8 +20,10 @@ from tools.hardware.oneshot import (
     shown,
 )
 
+SLIDES = ("slide_2", "slide_3", "slide_4")  # lamps as the projector's
 DARK = {
     "projector": "gnd",
+    **dict.fromkeys(SLIDES, "gnd"),
     "led": "gnd",
     "microwave": "gnd",
     "trigger": "gnd",
@@ -39,6 +41,7 @@ PULLS = {  # an output off, an input open
 }
 LIMITS = {
     "projector": LAMP_WIDTH_MAX_TICKS / TICK_HZ,
+    **dict.fromkeys(SLIDES, LAMP_WIDTH_MAX_TICKS / TICK_HZ),
     "led": LAMP_WIDTH_MAX_TICKS / TICK_HZ,
     "microwave": MICROWAVE_PULSE_MAX_TICKS / TICK_HZ,
 }
