@@ -1,4 +1,4 @@
-"""The source's figures 7.4 to 7.8 and 8.1 to 8.14 (but the set-up's photographs), and tables 8.1 to 8.3, as simulation.
+"""The source's figures 7.3 to 7.8 and 8.1 to 8.14 (but the set-up's photographs), and tables 8.1 to 8.3, as simulation.
 
     for done in study(["8.4"], Path("out")):        # out/fig8.4.png, out/study.csv, out/study.json
         print(done.name, done.numbers)
@@ -14,12 +14,13 @@ from functools import partial
 from pathlib import Path
 
 from annulus_pipe.vocabulary import AnnulusError
-from tools.study import codes, images, microwaves, noise, wires
+from tools.study import bubbles, codes, images, microwaves, noise, wires
 from tools.study.figure import Figure
 
 Progress = Callable[[str, int, int], None]
 
 FIGURES: Mapping[str, tuple[str, Callable[[], Figure]]] = {
+    "7.3": ("bubbles in glycol, with table 7.1", bubbles.concentrations),
     "7.4": ("line and L-shaped arrays", images.transducer_orientation),
     "7.5": ("three shapes, microwaves and time reversal", microwaves.three_shapes),
     "7.6": ("conductivity, signal and image", microwaves.conductivity),

@@ -1,4 +1,4 @@
-"""Draws the source's figures: `python -m tools.study [FIGURE ..] [--out FOLDER] [--json]`, FIGURE 7.4 to 8.14."""
+"""Draws the source's figures: `python -m tools.study [FIGURE ..] [--out FOLDER] [--json]`, FIGURE 7.3 to 8.14."""
 
 import argparse
 import json
@@ -12,7 +12,7 @@ from tools.study import chosen, study
 
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="tools.study", description="Without figures: all, in about two minutes.")
-    parser.add_argument("figures", nargs="*", help="figures of the source, 7.4 to 8.14")
+    parser.add_argument("figures", nargs="*", help="figures of the source, 7.3 to 8.14")
     parser.add_argument(
         "--out", "-o", type=Path, default=Path("build/study"), help="for pictures, study.csv, study.json"
     )

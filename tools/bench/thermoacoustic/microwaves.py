@@ -1,10 +1,11 @@
 """Where the microwave's power stays: closed forms, the solver, and the solver against itself."""
 
 import math
+from itertools import pairwise
 
 from tools.bench.table import Row
 from tools.bench.thermoacoustic import keep
-from tools.study import microwaves
+from tools.study import bubbles, microwaves
 
 
 def rows() -> list[Row]:
@@ -12,6 +13,13 @@ def rows() -> list[Row]:
     shapes = keep("fig7.5", microwaves.three_shapes())
     swing = keep("fig7.6", microwaves.conductivity())
     pulse = keep("fig7.8", microwaves.pulse_width())
+    bubbly = keep("fig7.3", bubbles.concentrations())
+    percents = [row[0] for row in bubbles.TABLE_7_1]
+    swings, same, apart, across = (
+        [bubbly[f"{name}_{p}{unit}"] for p in percents]
+        for name, unit in (("swing", ""), ("swing_same_gruneisen", ""), ("apart", "_us"), ("across", "_us"))
+    )
+    off = max(abs(1 - one / width) for one, width in zip(apart, across, strict=True))
     table = []
     for eps in ("1", "3"):
         for name, words in (("half_space", "half-space"), ("slab", "slab of 30 mm")):
@@ -64,6 +72,21 @@ def rows() -> list[Row]:
             "rises",
             f"{swing['swing_2.32_s_m']:.2f}",
             swing["swing_2.32_s_m"] > 1,
+        ),
+        Row(
+            "swing of glycol with 0 to 40 % bubbles, same Grueneisen parameter (Fig. 7.3)",
+            "falls",
+            "falls",
+            ", ".join(f"{one:.2f}" for one in same),
+            all(a > b for a, b in pairwise(same)),
+        ),
+        Row("the same, with the same beta / C_p", "falls", "-", ", ".join(f"{one:.2f}" for one in swings)),
+        Row(
+            "peak to trough of the same, against the disc's width over its speed of sound",
+            "shorter with bubbles",
+            "shorter, within 10 %",
+            ", ".join(f"{one:.2f}" for one in apart) + f" us, {100 * off:.0f} %",
+            all(a > b for a, b in pairwise(apart)) and off <= 0.1,
         ),
         Row(
             "mean wavelength, pulse 0.3 and 0.9 us (Fig. 7.8a)",
