@@ -15,7 +15,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus_pipe.qualification.trials import KINDS, Pull, Reported, Trial, Trials, TrialState, TrueDefect
+from annulus_pipe.qualification.trials import (
+    KINDS,
+    Pull,
+    Reported,
+    Trial,
+    Trials,
+    TrialState,
+    TrueDefect,
+    require_one_unit,
+)
 from annulus_pipe.untrusted import mapping, parse_json, printable, read_file, shown, whole, within
 from annulus_pipe.untrusted import text as checked_text
 from annulus_pipe.vocabulary import AnnulusError
@@ -68,7 +77,9 @@ def read_reports(path: Path) -> tuple[Reported, ...]:
 def read_trials(path: Path) -> Trials:
     """Of `annulus pod match`, or a CSV file of hits and misses as others have them. AnnulusError, one line."""
     if path.suffix.lower() == ".csv":
-        return _read(path, "trials", lambda rows: Trials(tuple(_hit_miss(rows, path.name))))
+        listed = _read(path, "trials", lambda rows: Trials(tuple(_hit_miss(rows, path.name))))
+        require_one_unit(listed.trials, str(path))
+        return listed
     try:
         found = mapping(parse_json(read_file(path, FILE_MAX), FILE_MAX), "trials")
         if found.get("format") != FORMAT:

@@ -39,6 +39,9 @@ CHANCE_TIMES, CHANCE_LEAST = 1.2, 8
 UNIT_PART = 0.7  # of the pairs: as many of which agree by another unit, and the unit is wrong
 UNIT_OFF = 1.15  # within which a ratio of depths is that of two units; an inch is 25.4 times off
 WHOLE_CIRCLE_DEG = 345.0  # an arc that goes all round: its clock says nothing
+# Two pulls of so many trials, or so many reported depths, that agree in all digits are one: depths of a second pass
+# differ in the third. Below, small spools of one plan may well agree. Guarded by test_trials.py.
+ALIKE_LEAST, DEPTHS_ALIKE_LEAST = 20, 4
 KINDS = ("loss", "bump")  # of a place on the wall, as summary.json names them; out of round is a stretch of the pipe
 
 
@@ -185,12 +188,30 @@ class Trials:
         """Of its pulls; a list of hits and misses is one by its file's name."""
         return {one.name for one in self.pulls} | {one.pull for one in self.trials}
 
+    @property
+    def _alike(self) -> set[tuple[str, ...]]:
+        """Of each pull that has enough of them, its trials by what they came to, whatever they are called."""
+        out: dict[str, list[str]] = {}
+        depths: dict[str, int] = {}
+        for one in self.trials:
+            came = f"{one.truth.kind} {one.truth.depth_mm:.9g} {one.state} {one.reported_depth_mm:.9g}"
+            out.setdefault(one.pull, []).append(came)
+            depths[one.pull] = depths.get(one.pull, 0) + math.isfinite(one.reported_depth_mm)
+        return {
+            tuple(rows) for pull, rows in out.items() if len(rows) >= ALIKE_LEAST or depths[pull] >= DEPTHS_ALIKE_LEAST
+        }
+
     def joined(self, other: "Trials") -> "Trials":
         """With those of another pull. AnnulusError where both have the same, or differ in what one truth is."""
         twice = self._names & other._names
         if twice:
             raise AnnulusError(f"{min(twice)}: its trials are there twice. Expected each pull once.")
         known = {(one.truth.pipe, one.truth.name): one.truth for one in self.trials if math.isfinite(one.truth.z_mm)}
+        shared = any((one.truth.pipe, one.truth.name) in known for one in other.trials)
+        if not shared and self._alike & other._alike:  # targets that are known to be one count once anyway
+            raise AnnulusError(
+                f"{min(other._names)}: has the trials of {min(self._names)} anew. Expected each pull once."
+            )
         for one in other.trials:
             same = known.get((one.truth.pipe, one.truth.name), one.truth)
             if (same.kind, same.z_mm, same.depth_mm) != (one.truth.kind, one.truth.z_mm, one.truth.depth_mm):
@@ -234,7 +255,7 @@ def match(truths: Sequence[TrueDefect], reported: Sequence[Reported], pull: Pull
         _trial(truth, judged[found[i]] if i in found else None, state, pull)
         for i, (truth, state) in enumerate(zip(truths, states, strict=True))
     )
-    _require_one_unit(trials, pull)
+    require_one_unit(trials, pull.name)
     left = [one for j, one in enumerate(judged) if j not in set(found.values())]
     return Trials(
         trials,
@@ -439,7 +460,7 @@ def _best_shift(truths: Sequence[TrueDefect], listed: Sequence[Reported], radius
     return shift, len(pairs(moved, listed, radius_mm))
 
 
-def _require_one_unit(trials: Sequence[Trial], pull: Pull) -> None:
+def require_one_unit(trials: Sequence[Trial], name: str) -> None:
     """AnnulusError where the depths of what matched differ by the factor of another unit."""
     both = [(one.truth.depth_mm, one.reported_depth_mm) for one in trials if one.state is TrialState.DETECTED]
     ratios = np.array([there / here for here, there in both if here > 0 and there > 0])
@@ -456,6 +477,6 @@ def _require_one_unit(trials: Sequence[Trial], pull: Pull) -> None:
         off = np.exp(np.abs(np.log(ratios / factor)))
         if np.median(off) < UNIT_OFF and np.mean(off < UNIT_OFF**2) >= UNIT_PART:
             raise AnnulusError(
-                f"{pull.name}: what was reported is {np.median(ratios):.3g} times as deep as the truths of"
+                f"{name}: what was reported is {np.median(ratios):.3g} times as deep as the truths of"
                 f" {len(ratios)} matches: {say}. Expected both in mm."
             )

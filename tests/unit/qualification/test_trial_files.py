@@ -150,5 +150,18 @@ def test_two_lists_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
         first.joined(second)
 
 
+def test_a_list_under_another_name_is_the_same_list(tmp_path: Path) -> None:
+    """Twice the defects: the a90/95 of 80 fell by 5 %."""
+    text = "kind,depth_mm,detected\n" + "".join(f"loss,{0.1 * i:.1f},{i % 2}\n" for i in range(1, 25))
+    first, second = (read_trials(written(tmp_path, text, name)) for name in ("hits.csv", "more.csv"))
+    with pytest.raises(AnnulusError, match=r"more\.csv: has the trials of hits\.csv anew"):
+        first.joined(second)
+
+
+def test_a_list_whose_depths_are_in_two_units_is_refused(tmp_path: Path) -> None:
+    text = "kind,depth_mm,detected,reported_depth_mm\n" + "".join(f"loss,{i / 25.4:.4f},yes,{i}\n" for i in range(1, 6))
+    assert "the truths' depths look like inches" in refused(written(tmp_path, text, "hits.csv"), read_trials)
+
+
 def test_cells_parted_by_semicolons_are_said_to_be(tmp_path: Path) -> None:
     assert "parted by semicolons" in refused(written(tmp_path, "kind;depth_mm\nloss;1,5\n"))
