@@ -16,6 +16,7 @@ from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus_pipe.qualification.applicability import HeadInUse
+    from annulus_pipe.qualification.certificate import Certificate
     from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
     from annulus_pipe.qualification.study import Conditions, GaugeReading
 
@@ -24,7 +25,6 @@ app = verbs()
 STATIONS_LEAST = 3  # of a piece in a run: fewer are no mean of it (a station every 5 mm of a sleeve of 50 has ten)
 SEEN_LEAST = 0.5  # of a station's circle: less, and its mean diameter is of a part of the wall
 APART_K = 5.0  # of a run's own temperature and that of runs.csv: as far as a certificate reaches beyond its runs
-YEARS = 2000, 2199  # of a day of issue
 RUNS = "runs.csv"
 
 Plan = Annotated[Path, typer.Argument(help="plan.toml: pieces, operators, repeats.")]
@@ -113,7 +113,7 @@ def issue_command(
 
     sheet = on_paper(pdf, paper)
     sign({}, key)  # a key that is none is noticed before all runs are read
-    issued = _today() if day is None else _day(day)
+    issued = _today() if day is None else _issued(day)
     study = read_plan(plan)
     readings, conditions = _readings(study, read_runs(runs, study), runs)
     made = certified(study, readings, conditions, issued)
@@ -223,6 +223,7 @@ def check_command(
             f"{runs}: its runs have calibration {conditions.calibration}, and the certificate is of "
             f"{made.scope.calibration}. A head calibrated anew needs a study of its own"
         )
+    _require_in_scope(made, readings, conditions, runs)
     check = compared(made, study, readings)
     print_fields(
         {
@@ -235,6 +236,34 @@ def check_command(
     )
     if not check.upheld:
         raise typer.Exit(1)
+
+
+def _require_in_scope(
+    made: "Certificate", readings: "Sequence[GaugeReading]", conditions: "Conditions", runs: Path
+) -> None:
+    """AnnulusError for runs that cannot speak for or against it: those it was made of bear it out whatever they are,
+    and of another program, diameter or temperature it says nothing."""
+    from annulus_pipe.qualification.applicability import Applicability, HeadInUse
+
+    own = {one.results: one.number for one in made.runs}
+    scope = made.scope
+    for one in readings:
+        run, warm = one.run.number, one.run.temperature_c
+        if one.results in own:
+            raise AnnulusError(
+                f"{runs}: run {run} has the results of run {own[one.results]} of the certificate. Expected later runs"
+            )
+        used = HeadInUse(
+            scope.head,
+            conditions.calibration,
+            conditions.firmware,
+            conditions.software,
+            one.piece.diameter_mm,
+            None if math.isnan(warm) else warm,
+        )
+        standing, reasons = scope.standing(used)
+        if standing is Applicability.DOES_NOT:
+            raise AnnulusError(f"{runs}: the certificate says nothing of run {run}: {reasons[0]}")
 
 
 def _readings(study: "StudyPlan", runs: "Sequence[StudyRun]", file: Path) -> "tuple[list[GaugeReading], Conditions]":
@@ -412,13 +441,17 @@ def _today() -> date:
     return datetime.now(UTC).date()
 
 
-def _day(text: str) -> date:
+def _issued(text: str) -> date:
+    from annulus_pipe.qualification.certificate import CLOCKS_APART, YEARS
+
     try:
         day = date.fromisoformat(text)
     except ValueError:
         raise AnnulusError(f"--date {text}: expected a day, YYYY-MM-DD") from None
     if not YEARS[0] <= day.year <= YEARS[1]:
         raise AnnulusError(f"--date {text}: expected a year in {YEARS[0]}..{YEARS[1]}")
+    if day > _today() + CLOCKS_APART:  # it would hold for longer than its plan says
+        raise AnnulusError(f"--date {text}: lies in the future, expected today or before")
     return day
 
 

@@ -23,6 +23,8 @@ FILE = "certificate.json"
 SIZE_MAX = 4 << 20  # bytes: hundreds of runs take a tenth of it
 ROWS_MAX, TEXT_MAX = 5000, 500
 DIAMETER_MARGIN = 0.02  # of a diameter, beyond the outermost pieces: pipes of one nominal size differ by as much
+YEARS = 2000, 2199  # of a day of issue; what holds from it ends a few years later
+UNTIL_YEAR = 2209  # .. and no day of a certificate lies beyond
 CLOCKS_APART = timedelta(days=1)  # a job's day is that of where its pipe lies, an issue's is UTC's
 KELVIN_MARGIN = 5.0  # K beyond the coldest and warmest run: what thermometers and a pipe's length differ by
 Row = TypeVar("Row")
@@ -309,9 +311,12 @@ def _pair(value: object, what: str, low: float, high: float, *, rising: bool = T
 def _day(section: Mapping[str, Any], name: str) -> date:
     value = _text(section, name, f"scope.{name}")
     try:
-        return date.fromisoformat(value)
+        day = date.fromisoformat(value)
     except ValueError:
         raise ValueError(f"scope.{name} is {shown(value)}, expected a day, YYYY-MM-DD") from None
+    if not YEARS[0] <= day.year <= UNTIL_YEAR:
+        raise ValueError(f"scope.{name} is {shown(value)}, expected a year in {YEARS[0]}..{UNTIL_YEAR}")
+    return day
 
 
 def _text(section: Mapping[str, Any], name: str, what: str = "") -> str:

@@ -20,6 +20,7 @@ DIAMETER_MM = (5.0, 10_000.0)
 CELSIUS = (-40.0, 80.0)
 K2_PART = 0.02  # of its diameter: what is known no better is no reference for half a percent
 SPAN_LEAST_MM = 5.0  # of a piece within a scan: shorter, no station lies in it
+MONTHS_MAX = 60  # no head is as it was for longer; a certificate that states more was not made by `certify issue`
 MONTHS = 12  # a certificate holds unless the plan says otherwise: what calibration laboratories give a gauge
 ALL = "all"  # in runs.csv, in place of a piece: one pull through all of them
 COLUMNS = ("run", "operator", "piece", "repeat", "temperature_c", "results")
@@ -106,7 +107,7 @@ def plan_from(data: Mapping[str, Any]) -> StudyPlan:
         names,
         whole(data.get("repeats"), "repeats", 2, REPEATS_MAX),
         pieces,
-        whole(data.get("months", MONTHS), "months", 1, 60),
+        whole(data.get("months", MONTHS), "months", 1, MONTHS_MAX),
         one_pull,
         whole(data.get("seed", 1), "seed", 0, 1 << 31),
     )

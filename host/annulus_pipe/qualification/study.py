@@ -8,7 +8,8 @@ import calendar
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, timedelta
+from itertools import zip_longest
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from annulus_pipe.qualification.certificate import (
     CertifiedRun,
     ProfilerForm,
 )
-from annulus_pipe.qualification.plan import ReferencePiece, StudyPlan, StudyRun
+from annulus_pipe.qualification.plan import MONTHS_MAX, ReferencePiece, StudyPlan, StudyRun
 from annulus_pipe.qualification.precision import Components, Variance, components, precision
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -36,6 +37,7 @@ FAR_PERCENT = 5.0  # of its diameter: ten times what owners ask of a profiler; n
 APART_PERCENT = 1.0  # .. nor by so much more of one piece than of the study's others
 UNITS = {25.4: "inches", 10.0: "centimetres"}  # in mm; a plan in metres or feet has no diameter that is one
 SAME_PART, SAME_PERCENT = 1e-6, 1e-9  # of numbers that follow from the same readings: another machine's rounding
+DAYS_A_MONTH = 30.5  # on average over some years, rounded up
 ASKED_OPERATORS = 6  # laboratories that E691, section 9, asks for
 
 
@@ -124,7 +126,7 @@ def certified(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Con
             conditions.lens,
         ),
         tuple(_runs(readings)),
-        tuple(_left_open(plan, kelvin, slope is not None)),
+        tuple(_left_open(plan, kelvin, slope is not None, conditions.days is not None)),
     )
 
 
@@ -219,11 +221,11 @@ def _scope(plan: StudyPlan, readings: Sequence[GaugeReading], conditions: Condit
     diameters = [piece.diameter_mm for piece in plan.pieces]
     celsius = [one.run.temperature_c for one in readings]
     first, last = conditions.days or (issued, issued)
+    if issued < last - CLOCKS_APART:
+        raise AnnulusError(f"the last run is of {last}, after the day of issue, {issued}")
     month = first.month - 1 + plan.months  # from the first run on: an old study that is issued again is no newer for it
     year, month = first.year + month // 12, month % 12 + 1
     until = date(year, month, min(first.day, calendar.monthrange(year, month)[1]))
-    if issued < last - CLOCKS_APART:
-        raise AnnulusError(f"the last run is of {last}, after the day of issue, {issued}")
     if until < issued:
         raise AnnulusError(f"the first run is of {first}, and a certificate of it holds until {until}, before {issued}")
     return CertificateScope(
@@ -275,8 +277,10 @@ def _runs(readings: Sequence[GaugeReading]) -> list[CertifiedRun]:
     ]
 
 
-def _left_open(plan: StudyPlan, celsius: FloatArray, sloped: bool) -> list[str]:
+def _left_open(plan: StudyPlan, celsius: FloatArray, sloped: bool, dated: bool) -> list[str]:
     out = []
+    if not dated:
+        out.append("the days of the runs: no scan states its own, and the validity counts from the day of issue")
     if len(plan.operators) < ASKED_OPERATORS:
         out.append(
             f"ASTM E691 asks for {ASKED_OPERATORS} laboratories; {len(plan.operators)} operators took part, and the "
@@ -313,7 +317,7 @@ def disagreements(certificate: Certificate) -> list[str]:
     try:
         readings = [_read_again(one, pieces, stated) for one in certificate.runs]
         require_own_pieces(plan, readings, "its runs")
-        again = certified(plan, readings, Conditions(), scope.issued)
+        again = certified(plan, readings, Conditions(days=(scope.issued, scope.issued)), scope.issued)
     except AnnulusError as error:
         return [str(error)]
     except (ValueError, LookupError):
@@ -327,6 +331,13 @@ def disagreements(certificate: Certificate) -> list[str]:
         out.append(f"its U with drift is {stated.U_drift:.4g}, less than without")
     if (scope.diameter_mm, scope.temperature_c) != (again.scope.diameter_mm, again.scope.temperature_c):
         out.append("its range of diameters or temperatures is not that of its readings")
+    if [(one.name, one.kind) for one in certificate.budget] != [(one.name, one.kind) for one in again.budget]:
+        out.append("its budget has other rows than its readings make")
+    if len(certificate.left_open) < len(again.left_open):
+        out.append(f"it leaves {len(certificate.left_open)} points open, and its readings {len(again.left_open)}")
+    longest = scope.issued + timedelta(days=DAYS_A_MONTH * MONTHS_MAX) + CLOCKS_APART
+    if not scope.issued <= scope.until <= longest:
+        out.append(f"it holds from {scope.issued} until {scope.until}, and a plan allows {MONTHS_MAX} months")
     return out
 
 
@@ -344,13 +355,33 @@ def _both(certificate: Certificate, again: Certificate) -> Iterator[tuple[str, f
             yield f"{name}{'' if end == 'value' else f', {end}'}", found, made
     for name in ("u", "U", "k", "worst", "repeat_dof"):
         yield name, getattr(certificate.accuracy, name), getattr(again.accuracy, name)
+    yield "number of degrees of freedom", _or_infinite(certificate.accuracy.dof), _or_infinite(again.accuracy.dof)
+    yield from _each("slope with temperature", certificate.accuracy.per_kelvin, again.accuracy.per_kelvin)
+    for row, made_row in zip(certificate.budget, again.budget, strict=False):  # that they are the same, others say
+        yield f"u of {row.name}", row.u, made_row.u
+        yield f"share of {row.name}", row.share, made_row.share
+        yield f"degrees of freedom of {row.name}", _or_infinite(row.dof), _or_infinite(made_row.dof)
     for ours, theirs in zip(certificate.pieces, again.pieces, strict=True):
         yield f"mean of {ours.name}", ours.mean_mm, theirs.mean_mm
         yield f"s_r of {ours.name}", ours.s_r_mm, theirs.s_r_mm
         yield f"s_R of {ours.name}", ours.s_R_mm, theirs.s_R_mm
+        yield from _each(f"h of {ours.name}", ours.h, theirs.h)
+        yield from _each(f"k of {ours.name}", ours.k, theirs.k)
     listed = {(one.number, one.piece): one.error for one in certificate.runs}
     for one in again.runs:
         yield f"error of {one.piece} in run {one.number}", listed[one.number, one.piece], one.error
+
+
+def _each(
+    name: str, stated: Sequence[float] | None, made: Sequence[float] | None
+) -> Iterator[tuple[str, float, float]]:
+    """What one of them lacks is NaN, which is like nothing."""
+    for found, other in zip_longest(stated or (), made or (), fillvalue=math.nan):
+        yield name, found, other
+
+
+def _or_infinite(dof: float | None) -> float:
+    return math.inf if dof is None else dof
 
 
 def compared(

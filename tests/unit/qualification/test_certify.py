@@ -202,6 +202,7 @@ ANCHORED = {"references": [{"z_from_mm": 130.0, "z_to_mm": 200.0, "diameter_mm":
         (_reads(33.0), "Is it of another piece"),
         (_all_changed(origin=ORIGIN | {"begun_utc": "2026-11-28T10:00:00+00:00"}), "is the scan of run 1, begun 2026-"),
         (_all_changed(job={"date": "2026-12-05"}), "the last run is of 2026-12-05, after the day of issue, 2026-11-29"),
+        (_all_changed(job={"date": "9999-12-31"}), "the last run is of 9999-12-31, after the day of issue"),
         (_all_changed(job={"date": "2024-06-01"}), "holds until 2025-06-01, before 2026-11-29"),
     ],
 )
@@ -261,9 +262,29 @@ def _no_drift(content: dict[str, Any]) -> None:
     content["accuracy"]["U_drift"] = 0.01
 
 
+def _surer(content: dict[str, Any]) -> None:
+    content["budget"][0].update(u=1e-5)
+
+
+def _even(content: dict[str, Any]) -> None:
+    content["pieces"][0]["h"] = [0.0]
+
+
+def _open_nowhere(content: dict[str, Any]) -> None:
+    content["left_open"] = []
+
+
+def _for_ever(content: dict[str, Any]) -> None:
+    content["scope"]["until"] = "2199-01-01"
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [
+        (_surer, "its u of repeats is 1e-05"),
+        (_even, "its h of A is 0, .*and 1 more"),
+        (_open_nowhere, "it leaves 0 points open"),
+        (_for_ever, "until 2199-01-01, and a plan allows 60 months"),
         (_better, "its U is 0.* readings make it"),
         (_steadier, "its s_r is 0.*, and 2 more"),
         (_wider, "its range of diameters"),
@@ -283,6 +304,40 @@ def test_numbers_that_do_not_follow_from_readings_are_noticed_whoever_signed(
     (tmp_path / "forged.json").write_text(json.dumps(forged.to_dict()))
     with pytest.raises(AnnulusError, match=f"does not follow from its own readings: .*{line}"):
         Study.invoke(Study.__new__(Study), "verify", tmp_path / "forged.json")
+
+
+@pytest.mark.parametrize(("issued", "until"), [("0001-01-01", "2027-01-01"), ("2026-11-29", "9999-12-31")])
+def test_days_of_no_calendar_of_ours_are_no_certificates(tmp_path: Path, issued: str, until: str) -> None:
+    """A day less than year 1's first ended a report with an internal error."""
+    made = json.loads(Study(tmp_path).issue().read_text())
+    made["content"]["scope"].update(issued=issued, until=until)
+    with pytest.raises(ValueError, match=r"expected a year in 2000\.\.2209"):
+        Certificate.from_dict(made)
+
+
+def test_a_certificate_is_not_issued_for_a_day_to_come(tmp_path: Path) -> None:
+    """Of runs that state no day it would hold for as long as anybody likes."""
+    study = Study(tmp_path)
+    assert "the days of the runs" in read_certificate(study.issue()).left_open[0]
+    key = ("--key", tmp_path / "lab.key", "-o", tmp_path / "late")
+    with pytest.raises(AnnulusError, match="2027-03-01: lies in the future"):
+        study.invoke("issue", study.plan, "--runs", study.runs, *key, "--date", "2027-03-01")
+
+
+def test_a_certificate_is_not_checked_by_what_cannot_speak_against_it(tmp_path: Path) -> None:
+    """Its own runs bear it out however bad a head is, and those of another program or a hotter pipe are not its."""
+    study = Study(tmp_path)
+    check = ("check", study.issue(), study.plan, "--runs")
+    with pytest.raises(AnnulusError, match=r"has the results of run 1 of the certificate\. Expected later runs"):
+        study.invoke(*check, study.runs)
+    later = Study(tmp_path, seed=2)
+    _all_changed(versions={"annulus": "9.9"})(later)
+    with pytest.raises(AnnulusError, match=r"says nothing of run 1: it is of software 0\.1\.0, and this is 9\.9"):
+        later.invoke(*check, later.runs)
+    hot = Study(tmp_path, seed=3)
+    _rows(lambda rows: rows[0].update(temperature_c="40"))(hot)
+    with pytest.raises(AnnulusError, match=r"says nothing of run 1: it holds from .* degC"):
+        hot.invoke(*check, hot.runs)
 
 
 def test_an_old_study_that_is_issued_again_holds_no_longer(tmp_path: Path) -> None:
