@@ -62,7 +62,7 @@ def test_a_strip_without_zone_has_a_thickness_and_no_width() -> None:
     [
         (volume(Scene()), "its section is hollow"),
         (volume(Scene(**{**STRIP.__dict__, "bead": (8.0, 0.0)})), "no bead stands over"),
-        (np.random.default_rng(0).normal(size=(40, 60, 60)), "no strip|no pipe|no two greys"),
+        (np.random.default_rng(0).normal(size=(40, 60, 60)), "no plastic in the volume"),
         (np.full((40, 60, 60), 7.0), "one grey"),
         (np.zeros((8, 60, 60)), "expected at least"),
         (np.full((40, 60, 60), np.nan), "finite"),

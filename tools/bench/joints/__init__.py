@@ -8,7 +8,11 @@ from tools.bench.table import Table
 TABLE = Table(
     __name__,
     "Butt-fusion joints: simulated CT volumes against their truth",
-    {"ct": "A joint's CT volume (ch. 9)", "statistics": "What chance makes of strengths (ch. 9)"},
+    {
+        "ct": "A joint's CT volume (ch. 9)",
+        "greys": "One joint in many scales of grey",
+        "statistics": "What chance makes of strengths (ch. 9)",
+    },
     Path(__file__).parent,
     "make bench-joints",
     CLAIMS,

@@ -236,6 +236,21 @@ def hardening(radii: np.ndarray, radius: float, count: int = 240) -> tuple[np.nd
 
 def scanned(joint: Joint, rng: np.random.Generator) -> tuple[np.ndarray, float, str]:
     """The volume in greys as they are stored, what its noise is after BELL as a part of plastic, and its form."""
+    grey, smooth = reconstructed(joint, rng)
+    if rng.random() < 0.3:
+        grey[:, beyond_disc(joint)] = grey.min() if rng.random() < 0.5 else 0.0
+    return stored(grey, smooth, rng)
+
+
+def beyond_disc(joint: Joint) -> np.ndarray:
+    """(Y, X) what a reconstruction of the largest disc in a slice leaves out."""
+    _, rows, columns = joint.shape
+    y, x = np.mgrid[:rows, :columns]
+    return np.asarray(np.hypot(x - columns / 2, y - rows / 2) > 0.5 * min(rows, columns))
+
+
+def reconstructed(joint: Joint, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """The volume as a scanner computes it, air 0 and plastic 1, and what its noise is after BELL."""
     grey, mapped, radii = density(joint)
     plastic = grey.sum(axis=(1, 2))
     plastic /= np.median(plastic)
@@ -262,10 +277,7 @@ def scanned(joint: Joint, rng: np.random.Generator) -> tuple[np.ndarray, float, 
     z = np.linspace(-1, 1, slices)
     drift = 1 + rng.normal(0, 0.01) * z + rng.normal(0, 0.005) * z**2
     bow = 1 + rng.normal(0, 0.01) * (y / rows - 0.5)
-    grey = (grey + ring) * bow * drift[:, None, None]
-    if rng.random() < 0.3:
-        grey[:, table > 0.5 * min(rows, columns)] = grey.min() if rng.random() < 0.5 else 0.0
-    return stored(grey, smooth, rng)
+    return (grey + ring) * bow * drift[:, None, None], smooth
 
 
 def stored(grey: np.ndarray, smooth: float, rng: np.random.Generator) -> tuple[np.ndarray, float, str]:

@@ -55,9 +55,8 @@ def outer_surface(
     phi = np.radians(np.arange(ANGLES) * 360 / ANGLES)
     x = ((centre[0] + rho * np.cos(phi)[:, None]) / pixel[0]).astype(np.float32)
     y = ((centre[1] + rho * np.sin(phi)[:, None]) / pixel[1]).astype(np.float32)
-    # Beyond the image is air, and air is any grey: Hounsfield's -1000, and nought is plastic then.
-    air = float(image.min())
-    ray = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=air)
+    # Beyond the image nothing is known: NaN is neither inside, nor is a surface found against it.
+    ray = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
     inside = ray > level
     last = ray.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
     seen = inside.any(axis=1) & (last < ray.shape[1] - 1)

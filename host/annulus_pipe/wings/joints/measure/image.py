@@ -13,6 +13,7 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.density import air_level, density_map, relative_density, wall_samples
 from annulus_pipe.wings.joints.measure.find import FoundJoint, find
 from annulus_pipe.wings.joints.measure.flaws import Flaw, flaws_of
+from annulus_pipe.wings.joints.measure.greys import LEVEL, densities
 from annulus_pipe.wings.joints.measure.surface import (
     SMOOTH_MM,
     Bead,
@@ -112,6 +113,9 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
 
     Raises AnnulusError where there is no whole hollow cylinder in it, no bead, or no plain wall beside it.
     """
+    if volume.shape[0] < 16 or min(volume.shape[1:]) < 32:
+        raise AnnulusError(f"a volume of {' x '.join(map(str, volume.shape))} voxels: expected at least 16 x 32 x 32")
+    volume = densities(volume)
     found = find(volume, progress)
     axis, wall = found.axis, found.wall_mm
     voxel = float(np.prod(volume.voxel_mm) ** (1 / 3))
@@ -134,7 +138,7 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     bore = rho < max(found.radius_mm - (1 + BORE[0]) * wall, rho[0] + 2 * step)
     for start, block in planes(volume, axis, z_mm, phi, rho):
         stop = start + len(block)
-        surface[0][start:stop], surface[1][start:stop] = edges(block, rho, found.level)
+        surface[0][start:stop], surface[1][start:stop] = edges(block, rho, LEVEL)
         open_bore = bore & (rho < np.nan_to_num(surface[1][start:stop], nan=np.inf)[:, :, None] - CLEAR_OF_BEAD * wall)
         air[start:stop] = np.where(open_bore, block, 0.0).sum(axis=2) / np.maximum(open_bore.sum(axis=2), 1)
         air[start:stop][~open_bore.any(axis=2)] = np.nan

@@ -18,7 +18,7 @@ from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.joints.measure.axis import VolumeAxis, fit_axis
 from annulus_pipe.wings.joints.measure.density import air_level, density_map, relative_density, wall_samples
-from annulus_pipe.wings.joints.measure.find import two_greys
+from annulus_pipe.wings.joints.measure.greys import LEVEL, densities
 from annulus_pipe.wings.joints.measure.image import (
     BEAD_MAX,
     HILO_LEFT,
@@ -45,7 +45,7 @@ WHOLE = Parts()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripImage:
-    """Of one dogbone, mm: NaN where a thing is not told. section (Z, R): mean over the middle of its width, grey."""
+    """Of one dogbone, mm: NaN where a thing is not told. section (Z, R): density, mean over the middle of its width."""
 
     w_mm: float
     w_sigma_mm: float
@@ -89,11 +89,12 @@ class _Pose:
 
 def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what, done, total: None) -> StripImage:
     """W and T of a dogbone. Raises AnnulusError where there is no strip along z, no bead on it, or no plain wall."""
+    if volume.shape[0] < 16 or min(volume.shape[1:]) < 16:
+        raise AnnulusError(f"a volume of {' x '.join(map(str, volume.shape))} voxels: expected at least 16 x 16 x 16")
+    volume = densities(volume)
     dz = volume.voxel_mm[0]
     voxel = float(np.prod(volume.voxel_mm) ** (1 / 3))
-    air_grey, plastic = two_greys(_looked(volume))
-    level = 0.5 * (air_grey + plastic)
-    pose = _pose(volume, level, progress)
+    pose = _pose(volume, progress)
     step = 0.5 * min(volume.voxel_mm[1:])
     top = (0.5 + BEAD_MAX) * pose.thickness
     rho: FloatArray = np.arange(-top, top + step, step)
@@ -105,7 +106,7 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
         raise AnnulusError(f"{len(z_mm) * dz:.1f} mm of a strip: too short")
     for _ in range(2):  # once more with what the faces said of their own tilt
         block = _block(volume, pose, z_mm, aside, rho, progress)
-        surface = edges(block, rho, level)
+        surface = edges(block, rho, LEVEL)
         tilt = stats.theilslopes(nan_median(0.5 * (surface[0] + surface[1])), aside).slope
         pose = replace(pose, normal=pose.normal - math.atan(tilt))
     # Curved across as the pipe was: what that adds is the same in all planes.
@@ -125,7 +126,7 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     blur = math.sqrt(2) * NOTCH_BLUR * min(dz, own)
     finer = NOTCH_CUSP * float(np.nansum([bead.cusp[0] for bead in both]))
     left = HILO_LEFT * 0.5 * float(sides[0].hilo_mm[0] + sides[1].hilo_mm[0])
-    zone = _zone(block, rho, z_mm, surface, plain, air_grey, joint, fusion, beads, own, voxel, parts)
+    zone = _zone(block, rho, z_mm, surface, plain, joint, fusion, beads, own, voxel, parts)
     return StripImage(
         float(zone[0]),
         float(zone[1]),
@@ -149,7 +150,6 @@ def _zone(
     z_mm: FloatArray,
     surface: tuple[FloatArray, FloatArray],
     plain: BoolArray,
-    air_grey: float,
     joint: float,
     fusion: FloatArray,
     beads: tuple[float, float],
@@ -163,7 +163,7 @@ def _zone(
     walls = wall_samples(block, rho, low, high, max(8, math.ceil(wall / voxel)))
     reach = max(float(np.nanmax(surface[0])), -float(np.nanmin(surface[1])))
     beyond = (np.abs(rho) > reach + AIR[0] * wall) & (np.abs(rho) < reach + AIR[1] * wall)
-    air = block[:, :, beyond].mean(axis=2).astype(float) if beyond.any() else np.full(block.shape[:2], air_grey)
+    air = block[:, :, beyond].mean(axis=2).astype(float) if beyond.any() else np.zeros(block.shape[:2])
     shade, grey = air_level(air, plain), float(np.nanmean(air[plain]))
     shade -= np.median(shade[plain])
     relative_density(walls, shade, grey, z_mm, plain, joint)
@@ -176,25 +176,14 @@ def _zone(
     return float(zone.width[0]), float(zone.width_sigma[0]), float(zone.drop[0]), float(zone.drop_sigma[0])
 
 
-def _looked(volume: Volume) -> FloatArray:
-    count, rows, columns = volume.shape
-    if count < 16 or min(rows, columns) < 16:
-        raise AnnulusError(f"a volume of {count} x {rows} x {columns} voxels: expected at least 16 x 16 x 16")
-    looks = np.unique(np.linspace(0, count - 1, 12).round().astype(int))
-    grey = np.concatenate([volume.slices(z, z + 1)[0, ::2, ::2].ravel() for z in looks])
-    if not np.isfinite(grey).all():
-        raise AnnulusError("no strip in the volume: expected finite greys of plastic and air")
-    return np.asarray(grey, float)
-
-
-def _pose(volume: Volume, level: float, progress: Progress) -> _Pose:
+def _pose(volume: Volume, progress: Progress) -> _Pose:
     count = volume.shape[0]
     dz, dy, dx = volume.voxel_mm
     looks = np.unique(np.linspace(0, count - 1, min(LOOKS, count)).round().astype(int))
     centres, points = [], []
     for i, z in enumerate(looks):
         progress("look for the strip", i, len(looks))
-        ys, xs = np.nonzero(volume.slices(int(z), int(z) + 1)[0] > level)
+        ys, xs = np.nonzero(volume.slices(int(z), int(z) + 1)[0] > LEVEL)
         if len(xs) < 25:
             continue
         at = np.stack([xs * dx, ys * dy], axis=1)
