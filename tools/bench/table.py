@@ -57,12 +57,13 @@ class Row:
     theory: str = "-"  # what can be reached at all, or is exact
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Table:
     """Topics are modules of `package` with `rows() -> list[Row]`, in the order in which they run, and their headings.
 
     `made_by` is the command that writes `folder`/RESULTS.md; "" if the table is only printed. claims : by topic and by
-    how a row's title begins, what it rests on; the longest beginning counts.
+    how a row's title begins, what it rests on; the longest beginning counts. alone : topics are being run by
+    themselves, so that their pictures go to build/pictures, and those beside RESULTS.md stay what it was made with.
     """
 
     package: str
@@ -71,6 +72,7 @@ class Table:
     folder: Path
     made_by: str = ""
     claims: Mapping[str, Mapping[str, Basis]] = field(default_factory=dict)
+    alone: bool = field(default=False, init=False)
 
     def basis(self, topic: str, what: str) -> Basis | None:
         """Of a row by its title; None where nobody said."""
@@ -80,12 +82,14 @@ class Table:
 
     @property
     def pictures(self) -> Path:
-        (self.folder / "pictures").mkdir(exist_ok=True)
-        return self.folder / "pictures"
+        folder = Path("build/pictures") if self.alone else self.folder / "pictures"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
 
     def run(self, wanted: Sequence[str] = ()) -> int:
         """Runs the topics `wanted`, or all, and then writes RESULTS.md whole. The exit status: 1 if anything missed."""
         before, text, missed = os.getloadavg()[0], [""], 0
+        self.alone = bool(wanted)
         for topic in wanted or self.topics:
             began = time.monotonic()
             print(f"== {topic}", flush=True)
