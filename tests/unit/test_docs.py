@@ -2,13 +2,11 @@
 
 import importlib
 import re
-import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import typer
 import yaml
 
 from annulus_pipe.daemon.config import load_config
@@ -87,20 +85,6 @@ def lines_of(text: str) -> Iterator[str]:
                 yield re.split(r"\s#", words)[0]
 
 
-def parse(line: str) -> None:
-    """As the program would take it, up to the moment at which it would do something. `..` stands for more."""
-    words = shlex.split(line)[1:]
-    command, context, more = typer.main.get_command(commands.app), None, ".." in words
-    words = [word for word in words if word != ".."]
-    while True:
-        context = command.make_context(command.name or "annulus", words, parent=context, resilient_parsing=more)
-        if not commands.is_group(command):
-            return
-        left = [*getattr(context, "_protected_args", []), *context.args]
-        _, command, words = command.resolve_command(context, left)
-        assert command is not None, line
-
-
 EXAMPLES = [(f"{name}: {line}", line) for name, line in commands.examples()]
 WRITTEN = [
     (f"{page.name}: {line}", line)
@@ -119,7 +103,7 @@ def test_every_command_has_an_example() -> None:
 @pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("what", "line"), [*EXAMPLES, *WRITTEN], ids=lambda one: one[:60])
 def test_examples_can_be_typed(what: str, line: str) -> None:
-    parse(line)
+    commands.parse(line)
 
 
 def test_an_example_that_cannot_is_found() -> None:
@@ -131,7 +115,7 @@ def test_an_example_that_cannot_is_found() -> None:
         "docs --nope",
     ):
         with pytest.raises(Exception, match=r"Missing|valid number|No such|not in|less than|required"):
-            parse(f"annulus {wrong}")
+            commands.parse(f"annulus {wrong}")
 
 
 def test_commands_named_in_passing_exist() -> None:

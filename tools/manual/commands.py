@@ -1,6 +1,7 @@
 """The command line, from the command line: every command, argument, option, default and example."""
 
 import re
+import shlex
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -48,6 +49,25 @@ def example(command: Any) -> tuple[list[str], str]:
         else:
             words += part
     return lines, words
+
+
+def parse(line: str) -> None:
+    """Reads a line as the program would, up to the moment at which it would do something. `..` stands for more words.
+    Raises what the program would: click's UsageError, or ValueError for what is no line of ours."""
+    program, *words = shlex.split(line)
+    if program != PROGRAM:
+        raise ValueError(f"{line!r}: expected {PROGRAM} first")
+    command, context, more = typer.main.get_command(app), None, ".." in words
+    words = [word for word in words if word != ".."]
+    while True:
+        context = command.make_context(command.name or PROGRAM, words, parent=context, resilient_parsing=more)
+        if not is_group(command):
+            return
+        left = [*getattr(context, "_protected_args", []), *context.args]
+        _, below, words = command.resolve_command(context, left)
+        if below is None:
+            raise ValueError(f"{line!r}: no such command")
+        command = below
 
 
 def page() -> str:
