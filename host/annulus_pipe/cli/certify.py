@@ -12,6 +12,7 @@ import typer
 
 from annulus_pipe.cli.pdf import PaperSize, on_paper
 from annulus_pipe.cli.show import Json, print_fields, verbs
+from annulus_pipe.numeric.rounding import two_digits_up
 from annulus_pipe.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
@@ -134,8 +135,8 @@ def issue_command(
     print_fields(
         {
             "certificate": made.number,
-            "diameters": f"± {accuracy.U:.2g} % in 19 of 20 (bias {_signed(accuracy.bias.value)} % in it)",
-            ".. as optics drift": f"± {accuracy.U_drift:.2g} % without a reference section in the scan",
+            "diameters": f"± {two_digits_up(accuracy.U)} % in 19 of 20 (bias {_signed(accuracy.bias.value)} % in it)",
+            ".. as optics drift": f"± {two_digits_up(accuracy.U_drift)} % without a reference section in the scan",
             "repeatability": f"s_r {accuracy.s_r.value:.2g} % ({accuracy.s_r.low:.2g} to {accuracy.s_r.high:.2g})",
             "reproducibility": f"s_R {accuracy.s_R.value:.2g} % ({accuracy.s_R.low:.2g} to {accuracy.s_R.high:.2g})",
             "valid until": str(made.scope.until),

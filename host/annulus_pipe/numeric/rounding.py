@@ -63,6 +63,19 @@ def digits_k2(value: float, quantity: Quantity) -> str:
     return _text(max(_scaled(_kept_up(value), quantity), Decimal(1).scaleb(-quantity.places)), quantity.places)
 
 
+def two_digits_up(value: float) -> str:
+    """An uncertainty of any size without its unit: two significant digits, up. Not negative.
+
+    >>> two_digits_up(0.1041), two_digits_up(0.21), two_digits_up(0.0996), two_digits_up(118.2)
+    ('0.11', '0.21', '0.10', '120')
+    """
+    if not math.isfinite(value) or value <= 0.0:
+        return f"{value:g}"
+    exact = Decimal(f"{value:.{_NOISE}g}")
+    up = exact.quantize(Decimal(1).scaleb(exact.adjusted() - 1), ROUND_CEILING)
+    return f"{up.quantize(Decimal(1).scaleb(up.adjusted() - 1)):f}"
+
+
 def quoted(value: float | None, quantity: Quantity, k2: float | None = None, *, at_least: bool = False) -> str:
     """A value for people: "2.28 ± 0.04 mm".
 

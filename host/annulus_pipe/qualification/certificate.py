@@ -12,6 +12,7 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
+from annulus_pipe.numeric.rounding import two_digits_up
 from annulus_pipe.qualification.applicability import Applicability, HeadInUse, ScopeCheck
 from annulus_pipe.qualification.precision import LIMIT, Interval
 from annulus_pipe.qualification.signature import Signature, canonical
@@ -166,10 +167,11 @@ class Certificate:
 
     def statement(self, percent: float) -> str:
         """What a report quotes, one line. percent : U, of a scan that a reference section anchors, or U_drift."""
-        accuracy = self.accuracy
+        bias, *limits = self.accuracy.bias.value, self.accuracy.s_r.value, self.accuracy.s_R.value
+        repeatability, reproducibility = (two_digits_up(LIMIT * one) for one in limits)
         return (
-            f"diameters keep ± {percent:.2g} % in 19 of 20, a bias of {accuracy.bias.value:+.2g} % in it; limits of "
-            f"repeatability {LIMIT * accuracy.s_r.value:.2g} %, of reproducibility {LIMIT * accuracy.s_R.value:.2g} %"
+            f"diameters keep ± {two_digits_up(percent)} % in 19 of 20, a bias of {bias:+.2g} % in it; "
+            f"limits of repeatability {repeatability} %, of reproducibility {reproducibility} %"
         )
 
     def content(self) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from annulus_pipe.numeric.rounding import (
     span,
     stored,
     stored_k2,
+    two_digits_up,
 )
 
 QUANTITIES = st.sampled_from([DISTANCE, MEASURE, EXTENT, AREA, ANGLE, ARC, PERCENT, SHARE])
@@ -75,6 +76,13 @@ def test_an_uncertainty_is_never_understated_never_nothing_and_by_less_than_a_st
 ) -> None:
     told = read(digits_k2(k2, quantity), quantity)
     assert told > 0 and Decimal(str(k2)) - Decimal("1e-8") <= told <= Decimal(str(k2)) + step(quantity)
+
+
+@given(st.floats(1e-6, 1e6))
+def test_two_digits_are_two_and_never_understate(value: float) -> None:
+    text = two_digits_up(value)
+    assert value * (1 - 1e-8) <= float(text) <= value * 1.1
+    assert len(text.replace(".", "").strip("0")) <= 2 and two_digits_up(float(text)) == text
 
 
 @given(st.floats(-1e4, 1e4, width=32), QUANTITIES)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from annulus_pipe.numeric.rounding import two_digits_up
 from annulus_pipe.qualification.applicability import Applicability, HeadInUse
 from annulus_pipe.qualification.pod import pod_json
 from annulus_pipe.qualification.quoting import Qualification
@@ -28,7 +29,7 @@ def test_a_certificate_is_quoted_where_it_applies(tmp_path: Path) -> None:
     drifting, anchored = (files.quoted(USE, anchored=one) for one in (False, True))
     assert drifting.accuracy.standing is Applicability.APPLIES
     assert (drifting.percent, anchored.percent) == (accuracy.U_drift, accuracy.U)
-    assert f"± {accuracy.U:.2g} % in 19 of 20" in anchored.accuracy.text
+    assert f"± {two_digits_up(accuracy.U)} % in 19 of 20" in anchored.accuracy.text
     assert anchored.accuracy.source == f"certificate {made().number} of laboratory, 2026-11-29 to 2027-11-29"
 
 
