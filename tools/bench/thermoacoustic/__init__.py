@@ -17,6 +17,7 @@ TABLE = Table(
         "sound_speed": "Speed of sound, bad receivers",
         "microwaves": "Microwaves: where the power stays (§7.8.2)",
         "coded": "Coded against single, same noise (Tables 8.1 to 8.3)",
+        "waveforms": "Codes beside chirps and stepped frequencies (§7.4)",
         "wires": "Two wires in agar, resolution (Fig. 8.13, 8.14)",
     },
     Path(__file__).parent,

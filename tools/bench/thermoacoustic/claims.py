@@ -14,5 +14,6 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
     "sound_speed": {"": PLANE},
     "microwaves": {"": CLOSED, "three shapes": PLANE, "image's": PLANE},
     "coded": {"": PLANE},
+    "waveforms": {"": CLOSED},
     "wires": {"": PLANE, "2 kW": Basis(TWIN, "exact", "set on", 100)},
 }
