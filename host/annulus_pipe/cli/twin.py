@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from annulus_pipe.cli.show import Json, print_fields, progress, verbs
+from annulus_pipe.vocabulary import AnnulusError
 
 app = verbs()
 
@@ -162,13 +163,29 @@ def scan(
     temperature: Annotated[
         float | None, typer.Option(metavar="CELSIUS", help="Of head and pipe; the calibration is that of 20 degrees.")
     ] = None,
+    backward: Annotated[
+        bool, typer.Option("--backward", help="As a head with its own calibration sees the pipe that looks back.")
+    ] = False,
+    apart_mm: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=2000.0, help="So far behind the forward head, on its carrier: with its odometer."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a simulated scan as a scan folder, with its calibration (of an opaque pipe) and the truth."""
     from annulus_pipe.twin.reference_pipe import at_temperature, of_diameter, with_spool
     from annulus_pipe.twin.scan import world_named, write_scan
 
+    if apart_mm is not None and not backward:
+        raise AnnulusError("--apart-mm goes with --backward")
     drawn = world_named(world, seed, defects, lean, translucent)
+    counted = None
+    if backward:
+        from annulus_pipe.twin.back_to_back import looking_back
+
+        if spool is not None or diameter is not None:
+            raise AnnulusError("--backward does not go with --spool or --diameter")
+        drawn, counted = looking_back(drawn, apart_mm)
     known = drawn.calibration()
     if diameter is not None:
         drawn = of_diameter(drawn, diameter)
@@ -177,7 +194,7 @@ def scan(
     if temperature is not None:
         drawn = at_temperature(drawn, temperature)
     with progress() as report:
-        write_scan(drawn, out, frames, report, known)
+        write_scan(drawn, out, frames, report, known, counted)
     fields: dict[str, object] = {
         "scan": str(out),
         "world": world,

@@ -47,9 +47,11 @@ def write_scan(
     frames: int,
     progress: Callable[[str, int, int], None] | None = None,
     calibration: Calibration | None = None,
+    counted: Callable[[float], float] | None = None,
 ) -> None:
     """Pull the head through the world in `frames` even steps and write the scan into `folder`, which must be empty.
 
+    counted : what the odometer has with the head at a station, of a head on another's carrier; else the station.
     Writes frames.csv, frames/*.png, calibration.json (`calibration`, of a head that has changed since or stands in
     another pipe; else a perfect one) and truth.json, whose calibration is always the perfect one. Every fifth frame
     is the LED's; a head with several cameras has a picture of each in every step, but of those whose slide was dark.
@@ -71,7 +73,11 @@ def write_scan(
             turning = light if not isinstance(light, Projector) and light.in_turn else None
             extra = [*([ROLL] if world.roll_deg else []), *([CAMERA] if several else []), *([SLOT] if turning else [])]
             table.writerow([*COLUMNS, *extra])
-            for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
+            stations = np.linspace(0.0, world.travel_mm, frames)
+            counted = counted or float
+            if counted(world.travel_mm) < counted(0.0):
+                stations = stations[::-1]  # a carrier goes one way, and draws its backward head behind it
+            for index, z_mm in enumerate(stations):
                 slot = index % LED_EVERY
                 led = slot == LED_EVERY - 1
                 looks = turning.looking(slot) if turning and not led else ()
@@ -85,7 +91,7 @@ def write_scan(
                     name = f"frames/{index:06d}{f'-{camera}' if several else ''}.png"
                     cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
                     cells = [*([camera] if several else []), *([slot] if turning else [])]
-                    table.writerow([index, name, lamp, f"{z_mm:.4f}", *roll, *cells])
+                    table.writerow([index, name, lamp, f"{counted(z_mm):.4f}", *roll, *cells])
                 if progress is not None:
                     progress("frames", index + 1, frames)
     except OSError as error:
