@@ -12,6 +12,7 @@ import typer
 
 from annulus_pipe.cli import console as console_page
 from annulus_pipe.cli import doctor
+from annulus_pipe.cli.back import back_view, joined_with
 from annulus_pipe.cli.export import export
 from annulus_pipe.cli.manual import docs
 from annulus_pipe.cli.nouns import add_nouns
@@ -106,12 +107,29 @@ def timing(
         print(f"longest flash: {mode.closes_us - mode.opens_us:g} us, delay {mode.opens_us:g} us")
 
 
-@app.command(epilog="Example: annulus reconstruct scans/main-street --calibration head-7.json -o results")
+@app.command(
+    epilog="Example: annulus reconstruct scans/main-street --calibration head-7.json -o results && "
+    "annulus reconstruct fore.mcap --back aft.mcap --apart-mm 180 -o results"
+)
 def reconstruct(
     scan: Annotated[Path, typer.Argument(help="Scan folder (frames.csv and images) or recording (.mcap).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results; made if need be.")],
     calibration: Annotated[
         Path | None, typer.Option(help="calibration.json of the head. A recording carries its own.")
+    ] = None,
+    back: Annotated[
+        Path | None, typer.Option(help="A scan of the same wall by a head that looked back: what steps hide from one.")
+    ] = None,
+    back_calibration: Annotated[
+        Path | None, typer.Option(help="calibration.json of the head that looked back, if it carries none.")
+    ] = None,
+    apart_mm: Annotated[
+        float | None,
+        typer.Option(min=-5000.0, max=5000.0, help="It sat so far behind the other on one carrier, with one odometer."),
+    ] = None,
+    turned_deg: Annotated[
+        float | None,
+        typer.Option(min=-360.0, max=360.0, help=".. and turned so, clockwise looking forward; a bare wall needs it."),
     ] = None,
     colour: Annotated[
         Path | None,
@@ -177,6 +195,7 @@ def reconstruct(
         # What is refused is refused before the rest is imported, and a folder made.
         work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
         look_at(work)
+    behind = back_view(back, back_calibration, apart_mm, turned_deg)
     from annulus_pipe.cli.results import (
         ReportContext,
         WindowFiles,
@@ -198,9 +217,9 @@ def reconstruct(
             "job": job,
             "limits": limits,
         }
-        for option, file in (("--certificate", certificate), ("--pod", pod)):
+        for option, file in (("--certificate", certificate), ("--pod", pod), ("--back", back)):
             if file is not None:
-                raise AnnulusError(f"{option} {file}: is quoted of heads that project rings")
+                raise AnnulusError(f"{option} {file}: goes with heads that project rings")
         refuse(wing[0], given)
         account = ReportContext(str(scan), origin_of(wing[0].scan, calibration, sheet), criteria)
         results = measured_by(wing, StoragePath(out.absolute()), account, Processes(workers), show_as, paper=printed)
@@ -222,6 +241,8 @@ def reconstruct(
         done = surveyed(
             work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
         )
+        if behind is not None:
+            done = joined_with(done, behind, Processes(workers), bars)
     summary = write_results(done, beside, place, printed)
     if as_json:
         print(json.dumps(summary))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from annulus_pipe.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, quoted, span
+from annulus_pipe.numeric.rounding import ANGLE, ARC, DISTANCE, EXTENT, MEASURE, PERCENT, digits, quoted, span
 
 HOLES_PRINTED = 10  # the largest; the report has all
 
@@ -22,6 +22,13 @@ def print_summary(data: Mapping[str, Any], out: Path) -> None:
     if data.get("scale"):
         print(f"scale      {data['scale']['anchor']}")
     print(f"points     {data['points']}")
+    if "views" in data:
+        views = data["views"]
+        alone, both = (quoted(views[name], PERCENT) for name in ("not_seen_forward_percent", "not_seen_percent"))
+        turned = quoted(views["turned_deg"], ANGLE, views["turned_k2_deg"])
+        print(
+            f"views      not seen {both}, by the forward one alone {alone}; turned {turned} by the {views['placed_by']}"
+        )
     for d in data["defects"]:
         depth = quoted(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
         hidden = f", {quoted(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""

@@ -190,6 +190,12 @@ def _verdict(survey: Survey) -> str:
         sentences.append(
             f"{_count(holes, 'place of the wall was', 'places of the wall were')} not seen: see below, where and why."
         )
+    if survey.views is not None:
+        alone, both = (quoted(100.0 * part, PERCENT) for part in (survey.views.not_seen_alone, survey.views.not_seen))
+        sentences.append(
+            f"Two heads looked, one forward and one back: {both} of the wall was not seen, by the forward one alone "
+            f"{alone}."
+        )
     missed = {finding.kind for finding in survey.findings}
     if NOT_ENOUGH in missed:
         sentences.append("Not enough of it was seen to say what shape the pipe has: see below.")

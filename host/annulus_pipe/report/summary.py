@@ -20,7 +20,7 @@ from annulus_pipe.wall.features import Feature
 from annulus_pipe.wall.scale import anchor
 from annulus_pipe.wall.standing import FEW
 from annulus_pipe.wall.stations import OVALITY_FORMULA, OVALITY_NAME
-from annulus_pipe.wall.survey import Survey
+from annulus_pipe.wall.survey import Survey, Views
 from annulus_pipe.wall.unjudged import Unjudged
 from annulus_pipe.wall.vibration import Vibration
 
@@ -99,6 +99,8 @@ def summarize(survey: Survey, account: ScanAccount, files_ms: float, beside: Seq
             "several" if one is None else str(one): stored(100.0 * part)
             for one, part in survey.seen_by_fraction().items()
         }
+    if survey.views is not None:
+        out["views"] = _views(survey.views)
     for one in beside:
         out |= one.summary
     if survey.vibration is not None:
@@ -213,6 +215,22 @@ def _hole(place: Unjudged) -> dict[str, Any]:
         "reason": place.reason,
         "usual": place.usual,
         **({"more": place.more} if place.more else {}),
+    }
+
+
+def _views(views: Views) -> dict[str, Any]:
+    return {
+        "moved_mm": stored(views.moved_mm),
+        "moved_k2_mm": stored_k2(2 * views.moved_sigma_mm),
+        "turned_deg": stored(views.turned_deg),
+        "turned_k2_deg": stored_k2(2 * views.turned_sigma_deg),
+        "placed_by": "wall" if views.matched else "mounting",
+        "not_seen_forward_percent": stored(100.0 * views.not_seen_alone),
+        "not_seen_percent": stored(100.0 * views.not_seen),
+        "differ_sigma": stored(views.differ_sigma),
+        "disagree_percent": stored(100.0 * views.disagree_fraction),
+        "diameter_differs_mm": stored(views.size_mm),
+        "diameter_differs_k2_mm": stored_k2(views.size_k2_mm),
     }
 
 

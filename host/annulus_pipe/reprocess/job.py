@@ -155,6 +155,12 @@ def open_job(
     return Job(opened, known, paint, pattern, tuple(sections) or sections_recorded(recorded.get("reference")))
 
 
+def looking_back(job: Job) -> Job:
+    """The same with places that rise the way the head looks, of a head that looks back on its carrier."""
+    frames = tuple(replace(frame, z_mm=-frame.z_mm) for frame in job.scan.frames)
+    return replace(job, scan=replace(job.scan, frames=frames))
+
+
 def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
     """The flashes to measure, and images of a few of them spread over the scan, by frame index. It takes a moment, so
     ask before what takes a minute. Raises AnnulusError, one line, where nothing can be measured: no flash of the

@@ -338,7 +338,7 @@ def build_wall(
     unknown = np.zeros(grid.shape, dtype=np.float32)
     still = np.zeros(len(z_rows))
     bare = Wall(z_rows, CLOCK_DEG, measured, count, shape, covariance, still, unknown, observations, stated_sigma)
-    noise = _noise(bare)
+    noise = row_noise(bare)
     cell_noise = np.maximum(_cell_noise(bare, rings, int(of.sampling) + 1), noise[:, None]).astype(np.float32)
     return replace(bare, noise_mm=noise, cell_noise_mm=cell_noise)
 
@@ -418,7 +418,7 @@ def _bridge(grid: FloatArray, sampling: float) -> FloatArray:
     return out
 
 
-def _noise(wall: Wall) -> FloatArray:
+def row_noise(wall: Wall) -> FloatArray:
     """(Z,) robust standard deviation of the smoothed residual: the larger of what the neighbourhood and the row say.
 
     The neighbourhood (a diameter of pipe): spread of each row about its own median, for a groove lifts a whole row and

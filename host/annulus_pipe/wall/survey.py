@@ -46,6 +46,31 @@ from annulus_pipe.wall.unjudged import Unjudged, find_unjudged, nameless, wider
 from annulus_pipe.wall.vibration import Vibration, without_vibration
 
 
+@dataclass(frozen=True, slots=True)
+class Views:
+    """What two views of one wall, a forward and a backward one, are to each other. mm, degrees; sigmas are k = 1.
+
+    moved_mm, turned_deg : what lies at z and clock of the backward view lies at moved_mm - z, turned_deg - clock of the
+    forward one; the middle row's. matched : whether the wall itself said both; else the mounting did. not_seen_alone,
+    not_seen : of the wall's area, 0..1, by the forward view alone and by neither. differ_sigma : by how many of their
+    sigmas they differ where both saw, in the median; 0.67 where the sigmas are right. disagree_fraction : of what both
+    saw, by more than is explained. size_mm, size_k2_mm : backward less forward diameter, and what it may be by their
+    scales.
+    """
+
+    moved_mm: float
+    moved_sigma_mm: float
+    turned_deg: float
+    turned_sigma_deg: float
+    matched: bool
+    not_seen_alone: float
+    not_seen: float
+    differ_sigma: float
+    disagree_fraction: float
+    size_mm: float
+    size_k2_mm: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
     """The pipe as one scan shows it. Lengths in mm, pipe frame; NaN where nothing could be measured.
@@ -83,9 +108,11 @@ class Survey:
     beside: Mapping[str, object] = field(default_factory=dict)  # what wings have to say of the pipe, by their names
     rings_lost: tuple[Finding, ...] | None = None  # of the pattern; None: as `profiles` show
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
+    explained: BoolArray | None = None  # (Z, A) cells of joints, openings and levels, where no defect is looked for
     unjudged: tuple[Unjudged, ...] = ()  # where a limit may be broken although nothing listed breaks it
     standing: tuple[Standing, ...] = ()  # in the bore, before the wall
     scale: AbsoluteScale | None = None  # what anchors lengths across the pipe; None where nothing is known of that
+    views: Views | None = None  # of a wall that two heads saw from both ends; None: one did
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -331,6 +358,7 @@ def survey(
         timing,
         tuple(one.id for one in calibration.cameras),
         no_wall=no_wall,
+        explained=explained,
         unjudged=unjudged,
         standing=standing,
         scale=scale,
