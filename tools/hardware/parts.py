@@ -1,5 +1,6 @@
 """Parts as SKiDL wants them, defined here: no library of KiCad's is needed to check or write the netlist."""
 
+import logging
 import os
 from functools import cache
 from typing import Any
@@ -8,6 +9,8 @@ for _version in ("", "5", "6", "7", "8", "9", "10"):  # where libraries are, whi
     os.environ.setdefault(f"KICAD{_version}_SYMBOL_DIR", os.devnull)
 
 from skidl import SKIDL, TEMPLATE, Part, Pin  # noqa: E402
+
+logging.setLoggerClass(logging.Logger)  # SKiDL leaves its own behind for the whole process, which takes text only
 
 LETTERS = {"i": "INPUT", "o": "OUTPUT", "b": "BIDIR", "p": "PASSIVE", "w": "PWRIN", "s": "PWROUT", "n": "NOCONNECT"}
 
