@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from annulus_pipe.vocabulary import AnnulusError
-from tools.study import bubbles, codes, images, microwaves, noise, wires
+from tools.study import bubbles, codes, images, microwaves, noise, plates, wires
 from tools.study.figure import Figure
 
 Progress = Callable[[str, int, int], None]
@@ -38,6 +38,7 @@ FIGURES: Mapping[str, tuple[str, Callable[[], Figure]]] = {
     "8.12": ("half the power, with table 8.3", partial(noise.table_figure, "8.3")),
     "8.13": ("two wires in agar", wires.reference),
     "8.14": ("two wires: long, short and coded pulses", wires.pulse_widths),
+    "11": ("a plate from one side, through air: no figure of the source's", plates.from_one_side),
 }
 
 

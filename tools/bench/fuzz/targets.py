@@ -45,6 +45,7 @@ from tools.bench.fuzz.certificate_files import certificate_case, certificate_rea
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
+from tools.bench.fuzz.plate_files import plate_case, plate_read
 from tools.bench.fuzz.pod_files import pod_case, pod_read
 from tools.bench.fuzz.recordings import mcap_case, mcap_read, packed_case
 from tools.bench.fuzz.rig_lines import rig_case, rig_read
@@ -426,6 +427,7 @@ TARGETS: dict[str, Target] = {
     "scan": Target(_scan_case, _scan_read),
     "head": Target(_head_case, _head_read),
     "acoustic": Target(_acoustic_case, _acoustic_read),
+    "plate": Target(plate_case, plate_read),
     "transducer": Target(_transducer_case, _transducer_read),
     "joint": Target(joint_case, joint_read),
     "wall": Target(_wall_case, _wall_read),

@@ -18,6 +18,7 @@ TABLE = Table(
         "microwaves": "Microwaves: where the power stays (§7.8.2)",
         "coded": "Coded against single, same noise (Tables 8.1 to 8.3)",
         "waveforms": "Codes beside chirps and stepped frequencies (§7.4)",
+        "single_sided": "Glass-fibre plates from one side, through air (chapter 11)",
         "wires": "Two wires in agar, resolution (Fig. 8.13, 8.14)",
     },
     Path(__file__).parent,

@@ -15,5 +15,11 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
     "microwaves": {"": CLOSED, "three shapes": PLANE, "image's": PLANE},
     "coded": {"": PLANE},
     "waveforms": {"": CLOSED},
+    "single_sided": {
+        "": Basis(TWIN, "-", "held out", 12),
+        "sound plates": Basis(TWIN, "-", "held out", 8),
+        "both solvers": CLOSED,
+        "both in one plate": Basis(TWIN, "-", "held out", 6),
+    },
     "wires": {"": PLANE, "2 kW": Basis(TWIN, "exact", "set on", 100)},
 }

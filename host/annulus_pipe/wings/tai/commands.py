@@ -23,7 +23,9 @@ ReceiverDb = Annotated[float, typer.Option(help="The receiver's noise over air's
 
 
 @app.command(
-    "simulate", epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5"
+    "simulate",
+    epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5; "
+    "annulus tai simulate --single-sided -o plate.hdf5",
 )
 def simulate_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
@@ -45,8 +47,30 @@ def simulate_command(
     ] = 0.7,
     aperture_mm: Annotated[float, typer.Option(min=0.0, max=100.0, help="Width of the receiver's face, mm.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 1,
+    single_sided: Annotated[
+        bool, typer.Option("--single-sided", help="A plate of glass and epoxy from one side, through air, instead.")
+    ] = False,
+    plate: Annotated[
+        Path | None, typer.Option(help="Its defects, TOML: [[delamination]] and [[water]]. Default: one delamination.")
+    ] = None,
+    sequence: Annotated[
+        str, typer.Option(help="Of a plate: single, mpsl25-stuffed, manchester, golay64, golay128, m127, m255.")
+    ] = "manchester",
+    seconds: Annotated[float, typer.Option(help="Of a plate: time a position, s.")] = 35.0,
+    power_kw: PowerKw = 5.0,
+    standoff_mm: Standoff = 20.0,
+    receiver_db: ReceiverDb = 20.0,
 ) -> None:
-    """One turn of the turntable about a known sample, with real propagation, receiver and noise."""
+    """One turn of the turntable about a known sample, with real propagation, receiver and noise.
+
+    With --single-sided: 51 positions before one face of a plate (`annulus tai budget` has its noise). What is in the
+    plate goes into FILE.truth.json beside the shots, which do not have it.
+    """
+    if single_sided:
+        _simulate_plate(out, plate, sequence, seconds, (power_kw, standoff_mm, receiver_db), seed)
+        return
+    if plate is not None:
+        raise AnnulusError("--plate goes with --single-sided")
     from annulus_pipe.wings.tai.acoustic_file import save_acoustic
     from annulus_pipe.wings.tai.measure.confinement import confinement
     from annulus_pipe.wings.tai.measure.phantoms import phantom as named
@@ -74,6 +98,25 @@ def simulate_command(
         record = simulate(named(phantom), setup, report)
     save_acoustic(out, record)
     print(f"{len(record.signals)} positions of {record.signals.shape[1]} samples  {out}")
+
+
+def _simulate_plate(
+    out: Path, plate: Path | None, sequence: str, seconds: float, rig: tuple[float, float, float], seed: int
+) -> None:
+    from annulus_pipe.wings.tai import single_sided
+    from annulus_pipe.wings.tai.measure.budget import SingleSidedRig
+
+    power_kw, standoff_mm, receiver_db = rig
+    setup = SingleSidedRig(power_w=1e3 * power_kw, standoff_mm=standoff_mm, receiver_db=receiver_db)
+    sample = single_sided.read_plate(plate) if plate else single_sided.EXAMPLE
+    with progress() as report:
+        record = single_sided.simulate_plate(sample, setup, sequence, seconds, seed, report)
+    single_sided.save_plate(out, record)
+    truth = out.with_suffix(".truth.json")
+    single_sided.save_truth(truth, sample)
+    bursts, positions, samples = record.shots.shape
+    print(f"{positions} positions, {bursts} x {record.averages} bursts of {samples} samples  {out}")
+    print(f"truth      {truth}")
 
 
 @app.command(
@@ -250,8 +293,17 @@ def image_command(
     """The sample's absorbed power from the sound around it.
 
     --search finds the speed of sound at which receivers agree, and says what it would be were the sound of the other
-    kind (--sound). A receiver that agrees with no other is named and left out.
+    kind (--sound). A receiver that agrees with no other is named and left out. Single-sided shots of a plate are known
+    by themselves: what is found is listed with kind, place, depth, width and their sigma, and options have no say.
     """
+    from annulus_pipe.wings.tai import single_sided
+
+    if single_sided.is_plate(source):
+        found = single_sided.image_plate(source, out)
+        print(json.dumps(found) if as_json else "\n".join(single_sided.plate_lines(found)))
+        if not as_json:
+            print(f"image      {out / 'image.png'}, {out / 'image.npz'}")
+        return
     from annulus_pipe.wings.tai.image import ImageSettings, make_image
     from annulus_pipe.wings.tai.measure.imaging import Region
 

@@ -21,9 +21,9 @@ EPSILON0, ETA0_OHM = 8.8541878128e-12, 376.730313668  # F/m; CODATA 2018
 BOLTZMANN = 1.380649e-23  # J/K; SI
 ZERO_C_K = 273.15
 AIR_DENSITY, AIR_SPEED = 1.204, 343.2  # kg/m^3, m/s at 20 C (ISO 9613-1: 343.2)
-NEEDED_DB = 12.0  # a position's peak over rms noise, for a place to be found. Guard: topic single_sided
+NEEDED_DB = 20.0  # a position's peak over rms noise, for a place to be found. Guard: topic single_sided
 RECORD_S = 128e-6  # listening after a burst: the way through air, and until a laminate is still. Guard: the same topic
-RIDGE = 0.05  # of a code's mean power in the band: dividing by less than that only amplifies noise
+RIDGE = 0.005  # of a code's mean power in the band: dividing by less than that only amplifies noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,11 +204,20 @@ def budget(
         )
     ]
     if kind == "water":
-        length = 1e3 * WATER_SPEED * rig.pulse_s
-        terms.append(Term("half of it each way", -20 * math.log10(2), "one dimension"))
-        if thick_mm < length:
-            terms.append(Term("thinner than the chip's sound", 20 * math.log10(thick_mm / length), "d / (c tau)"))
+        turn = 2 * math.pi * middle * emptying_s(laminate, thick_mm)
+        terms.append(
+            Term(
+                f"{thick_mm:g} mm of it give way in {1e6 * turn / (2 * math.pi * middle):.2g} us",
+                20 * math.log10(turn / math.hypot(1, turn)),
+                "omega T / sqrt(1 + (omega T)^2), T = Z d / (2 K)",
+            )
+        )
     terms += [
+        Term(
+            "what the band keeps of a step",
+            20 * math.log10(step_in_band(rig)),
+            "1 / pi times the integral of sinc(f tau) / f over the band",
+        ),
         Term("way through the laminate", -laminate.attenuation_db_mm * depth_mm, "0.7 dB/mm at 1 MHz, linear"),
         Term(
             "spread from a disc",
@@ -229,6 +238,18 @@ def budget(
     received = sum(term.db for term in terms)
     noise = 20 * math.log10(rig.noise_pa())
     return SoundBudget(kind, depth_mm, tuple(terms), received, noise, NEEDED_DB + noise - received)
+
+
+def step_in_band(rig: SingleSidedRig) -> float:
+    """Peak of a unit step that rose within a chip, behind the band."""
+    f = np.linspace(*rig.band_hz, 401)
+    return float(np.mean(np.sinc(f * rig.pulse_s) / f) * (rig.band_hz[1] - rig.band_hz[0]) / math.pi)
+
+
+def emptying_s(laminate: Laminate, thick_mm: float) -> float:
+    """In which a thin layer of water between two halves of laminate loses its pressure by pushing them apart, s."""
+    stiff = WATER_DENSITY * WATER_SPEED**2
+    return laminate.density * laminate.speed * 1e-3 * thick_mm / (2 * stiff)
 
 
 def spread(wide_mm: float, depth_mm: float, wave_mm: float) -> float:
@@ -271,20 +292,17 @@ def m_sequence(order: int) -> Chips:
 SEQUENCES = ("single", "mpsl25-stuffed", "manchester", "golay64", "golay128", "m127", "m255")
 
 
-def shots_of(name: str) -> tuple[tuple[Chips, float], ...]:
-    """The on/off bursts of a sequence and the sign each is summed with.
-
-    A Golay pair is sent as four bursts, each sequence and its complement, whose difference is bipolar.
-    """
+def bursts_of(name: str) -> tuple[Chips, ...]:
+    """The on/off bursts of a sequence. A Golay pair is sent as four: each sequence, and its complement."""
     if name in ("golay64", "golay128"):
         pair = golay(6 if name == "golay64" else 7)
-        return tuple(((sign * s > 0).astype(np.uint8), sign) for s in pair for sign in (1.0, -1.0))
+        return tuple((sign * s > 0).astype(np.uint8) for s in pair for sign in (1.0, -1.0))
     if name in ("m127", "m255"):
-        return ((m_sequence(7 if name == "m127" else 8), 1.0),)
+        return (m_sequence(7 if name == "m127" else 8),)
     codes = ("manchester1", "manchester2") if name == "manchester" else (name,)
     if name not in SEQUENCES:
         raise AnnulusError(f"sequence {name!r}: expected one of {', '.join(SEQUENCES)}")
-    return tuple((np.array([int(c) for c in CODES.get(code, "1")], np.uint8), 1.0) for code in codes)
+    return tuple(np.array([int(c) for c in CODES.get(code, "1")], np.uint8) for code in codes)
 
 
 def spectra(bursts: Sequence[Chips], chip_s: float, frequency_hz: FloatArray) -> np.ndarray:
@@ -328,7 +346,7 @@ def decoder(bursts: Sequence[Chips], chip_s: float, frequency_hz: FloatArray) ->
 
 
 def code_cost(name: str, rig: SingleSidedRig) -> CodeCost:
-    bursts = [chips for chips, _ in shots_of(name)]
+    bursts = bursts_of(name)
     f = np.linspace(*rig.band_hz, 801)
     taps = decoder(bursts, rig.pulse_s, f)
     through = (taps * spectra(bursts, rig.pulse_s, f)).sum(axis=0).real
