@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from statistics import median
 
 from annulus_pipe.capture.history import EdgeHistory
-from annulus_pipe.capture.offset import LAG_PERIODS_MAX, LAG_PERIODS_MIN, LIGHTS, WINDOW
+from annulus_pipe.capture.offset import LAG_PERIODS_MAX, LAG_PERIODS_MIN, WINDOW
 from annulus_pipe.capture.photometry import Light
 from annulus_pipe.capture.proof import SUSPICIONS, News
+from annulus_pipe.capture.slides import ALL_SLIDES, SlidesSeen
 from annulus_pipe.vocabulary import CameraSequence, Lamp
 
 GLIMPSES_KEPT = 40  # as long as a doubt lasts: pictures that were against a way count to its end
@@ -60,8 +61,15 @@ class Agreed:
 class Doubt:
     """The frames since labels were last believed."""
 
-    def __init__(self, history: EdgeHistory, period_ns: int, failing: Container[Lamp] = frozenset()) -> None:
+    def __init__(
+        self,
+        history: EdgeHistory,
+        period_ns: int,
+        failing: Container[Lamp] = frozenset(),
+        slides: SlidesSeen = ALL_SLIDES,
+    ) -> None:
         """`failing`: lamps whose flashes lit nothing of late; it changes while the doubt lasts."""
+        self._slides = slides
         self._history, self._period_ns, self._failing = history, period_ns, failing
         self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)
         self._stamps_impossible = self._by_pictures = False
@@ -189,7 +197,7 @@ class Doubt:
 
     def _may_be_of(self, glimpse: Glimpse, ordinal: int) -> bool:
         flash = self._history.lit(ordinal)
-        if flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]:
+        if flash is None or glimpse.light is None or self._slides.agrees(glimpse.light, flash):
             return True
         return glimpse.light is Light.DARK and flash.lamp in self._failing
 

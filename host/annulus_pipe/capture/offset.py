@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from annulus_pipe.capture.history import EdgeHistory
 from annulus_pipe.capture.photometry import Light
 from annulus_pipe.capture.seen import FrameSeen
-from annulus_pipe.vocabulary import AnnulusError, EdgeFlag, Lamp
+from annulus_pipe.capture.slides import ALL_SLIDES, LIGHTS, SlidesSeen
+from annulus_pipe.vocabulary import AnnulusError, EdgeFlag
 
 WINDOW = 0.25  # of a period: how far a frame may be from its edge
 LAG_PERIODS_MIN = -0.1  # of a period: how early a frame may seem, for an edge is placed only so well
@@ -47,7 +48,6 @@ TRACKED_MIN = 16
 STEPPED = 8  # frames that are all off mean a step
 STEP = 0.1  # of a period: how far
 
-LIGHTS = {Lamp.PROJECTOR: Light.PROJECTOR, Lamp.LED: Light.LED, Lamp.DARK: Light.DARK}
 CLEAR = frozenset(LIGHTS.values())
 
 _CODES = {light: code for code, light in enumerate(Light)}
@@ -151,12 +151,13 @@ def calibrate_offset(
     preamble: bool = True,
     before: ProvedOffset | None = None,
     adrift: bool = False,
+    slides: SlidesSeen = ALL_SLIDES,
 ) -> Offset:
     """The camera's offset from frames whose pictures show what lit them, and the edges of the same seconds.
 
     arrivals : whether to look at when the frames came. preamble : whether flashes of a preamble are looked at.
     before : what the camera did until it began anew. adrift : frames may have been kept or lost by whole lamp cycles,
-    any number of them, so that only a preamble proves anything, whether or not there is one.
+    any number of them, so that only a preamble proves anything, whether or not there is one. slides : those it sees.
 
     AnnulusError when too little was seen, or when nothing or more than one offset agrees.
     """
@@ -176,7 +177,7 @@ def calibrate_offset(
     lag = _usual_lag(seen, phase, period_ns) if arrivals else None
     shifts = _shifts(lag, (preamble and history.preambled) or adrift)
     weights = np.array([_weight(lag, shift, phase, period_ns, before, adrift) for shift in shifts])
-    best = _proved(placed, history, shifts, weights, preamble)
+    best = _proved(placed, history, shifts, weights, preamble, slides)
     if best.chance > CHANCE:
         raise AnnulusError(_unproved(best, phase, period_ns))
     shift = shifts[best.at]
@@ -263,6 +264,7 @@ def _proved(
     shifts: Sequence[int],
     weights: NDArray[np.float64],
     preamble: bool,
+    slides: SlidesSeen,
 ) -> _Best:
     """Two shifts are compared on the frames that have a flash under both: alike, a frame more or less in one of them
     does not count.
@@ -270,7 +272,9 @@ def _proved(
     lamps = {
         edge.ordinal: _CODES[LIGHTS[flash.lamp]]
         for edge in history.edges
-        if (flash := history.lit(edge.ordinal)) is not None and (preamble or EdgeFlag.PREAMBLE not in flash.flags)
+        if (flash := history.lit(edge.ordinal)) is not None
+        and (preamble or EdgeFlag.PREAMBLE not in flash.flags)
+        and not slides.blind(flash)
     }
     named = np.array([[lamps.get(ordinal - shift, _NO_FLASH) for _, ordinal in placed] for shift in shifts], dtype=int)
     pictures = np.array([_CODES[frame.picture.light] for frame, _ in placed], dtype=int)

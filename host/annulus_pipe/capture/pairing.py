@@ -25,12 +25,13 @@ from typing import NamedTuple
 from annulus_pipe.capture.continuity import Continuity
 from annulus_pipe.capture.doubt import Agreed, Doubt, Glimpse
 from annulus_pipe.capture.history import EdgeHistory, PlacedEdge
-from annulus_pipe.capture.offset import CLEAR, LIGHTS, WINDOW, Offset, OffsetTrack, ProvedOffset
+from annulus_pipe.capture.offset import CLEAR, WINDOW, Offset, OffsetTrack, ProvedOffset
 from annulus_pipe.capture.photometry import Light
 from annulus_pipe.capture.proof import CONTRADICTIONS, SUSPICIONS, News, ProofState, Reason, Witness, next_state
-from annulus_pipe.capture.seen import FrameSeen
+from annulus_pipe.capture.seen import FrameSeen, Labelled
+from annulus_pipe.capture.slides import ALL_SLIDES, SlidesSeen
 from annulus_pipe.capture.witnesses import Arrivals, Count, Delivery, RecentPictures
-from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
+from annulus_pipe.vocabulary import CameraSequence, EdgeFlag, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 CROWDED = 0.8  # of a period: two frames of one edge that come so soon one after the other are one too many
@@ -53,16 +54,6 @@ _UNLIT = frozenset(  # no flash, or one that may not have been fired
 _TIMED = frozenset({Reason.AGREED, Reason.DARK})  # nothing but the picture can speak against it
 
 
-class Labelled(NamedTuple):
-    """The verdict on one frame. `flash` is given whenever one was found, also where the label stays unknown."""
-
-    label: Label
-    flash: Flash | None  # fired after the opening edge
-    reason: Reason
-    residual_ns: int | None  # frame's moment minus its closing edge
-    opened_ns: int | None = None  # host time of the opening edge
-
-
 class _Judged(NamedTuple):
     """What edges and time say."""
 
@@ -81,6 +72,7 @@ class Pairing:
         history: EdgeHistory | None = None,
         without: frozenset[Witness] = frozenset(),
         tell: Callable[[str], None] | None = None,
+        slides: SlidesSeen = ALL_SLIDES,
     ) -> None:
         """`history` is fed by whoever made it; without one, feed `edge` and `invalidate` here. `without`: who is not
         asked, to show what they are good for. `tell` hears of every change of state, in a line.
@@ -89,7 +81,7 @@ class Pairing:
         self.contradictions: Counter[str] = Counter()  # by kind
         self.history = history or EdgeHistory()
         self.edge, self.invalidate = self.history.edge, self.history.invalidate
-        self._period_ns, self._without, self._tell = period_ns, without, tell
+        self._period_ns, self._without, self._tell, self._slides = period_ns, without, tell, slides
         self._state = ProofState.SEARCHING
         self._track = OffsetTrack(0, period_ns)
         self._arrivals, self._count, self._pictures = Arrivals(period_ns), Count(), RecentPictures()
@@ -98,7 +90,7 @@ class Pairing:
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._continuity = Continuity(self.history, self._delivery)
         self._failing: dict[Lamp, int] = {}  # lamps that lit no picture; by how many they are sound again
-        self._doubt = Doubt(self.history, period_ns, self._failing)
+        self._doubt = Doubt(self.history, period_ns, self._failing, slides)
         self._last: int | None = None  # ordinal of the last frame's closing edge ..
         self._since = 0  # frames since that one
         self._searched_to: int | None = None  # .. and of the last that the search looked at
@@ -187,7 +179,8 @@ class Pairing:
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)
-        garbage = light in (Light.BOTH, Light.UNCLEAR)
+        blind = judged.opening is not None and self._slides.blind(judged.opening.flash)
+        garbage = light in (Light.BOTH, Light.UNCLEAR) and not blind
         blanks = self._blank(frame, judged, light)
         self._odd = repeated or blanks + self._dark > 0 or (self._odd and light is Light.DARK)
         self._spoilt = self._spoilt + 1 if torn or garbage else self._spoilt if self._odd else 0
@@ -211,11 +204,13 @@ class Pairing:
             reason = self._look(judged, light)
         if judged.closing is not None and self._contradiction(reason, None) is None and not self.doubtful:
             self._learn(frame, judged.closing)
-        if reason in _TIMED and (repeated or torn):
-            reason = Reason.REPEATED if repeated else Reason.TORN
+        blind = judged.opening is not None and self._slides.blind(judged.opening.flash)
+        before = repeated or (blind and self._pictures.again)  # of dark ones nothing but noise tells
+        if reason in _TIMED and (before or torn):
+            reason = Reason.REPEATED if before else Reason.TORN
         if reason is Reason.AGREED and self.doubtful:
             reason = Reason.OFFSET
-        shows = judged.opening.flash.lamp if judged.opening is not None and light is not None else None
+        shows = judged.opening.flash.lamp if judged.opening and light is not None and not blind else None
         self._continuity.agreed(shows if reason is Reason.AGREED else None)
         self.counters[reason] += 1
         self._arrived_ns = frame.arrived_ns
@@ -301,7 +296,9 @@ class Pairing:
         if judged.reason not in _TIMED or judged.opening is None or light is None:
             return judged.reason
         flash = judged.opening.flash
-        if light is LIGHTS[flash.lamp] or (Witness.PREAMBLE in self._without and EdgeFlag.PREAMBLE in flash.flags):
+        if self._slides.agrees(light, flash) or (
+            Witness.PREAMBLE in self._without and EdgeFlag.PREAMBLE in flash.flags
+        ):
             return judged.reason
         if light is Light.DARK:
             return Reason.BLANK
@@ -324,17 +321,19 @@ class Pairing:
             closing = None if ordinal is None else self.history.numbered(ordinal)
             opening = None if closing is None else self.history.opening(closing)
         if opening is None:
-            self._dark += light is Light.DARK
+            self._dark += light is Light.DARK and not self._slides.seen  # else it may have looked away
             return 0
         flash, was = opening.flash, self._lit
         alight = was is not None and was.boot_epoch == opening.boot_epoch and not self.history.cut(was, opening)
         dark, self._dark, self._lit = self._dark if alight else 0, 0, opening
+        if self._slides.blind(flash):
+            return dark
         fired = judged.reason not in _UNLIT and flash.width_ticks and not flash.flags & _DISARMED
         if fired and light is Light.DARK:
             new = self._odd or flash.lamp not in self._failing
             self._failing[flash.lamp] = SOUND_AGAIN
             return dark + new
-        if light is LIGHTS[flash.lamp] and (left := self._failing.pop(flash.lamp, 1) - 1):
+        if self._slides.agrees(light, flash) and (left := self._failing.pop(flash.lamp, 1) - 1):
             self._failing[flash.lamp] = left
         return dark
 
@@ -446,7 +445,8 @@ class Pairing:
     def _begin(self, offset_ns: int) -> None:
         self._track = OffsetTrack(offset_ns, self._period_ns)
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
-        self._doubt, self._delivery = Doubt(self.history, self._period_ns, self._failing), Delivery()
+        self._doubt = Doubt(self.history, self._period_ns, self._failing, self._slides)
+        self._delivery = Delivery()
         self._last = self._searched_to = self._arrived_ns = self.before = None
         self._continuity = Continuity(self.history, self._delivery)
         self._dark = 0

@@ -157,14 +157,18 @@ class RecentPictures:
         self._wholes: deque[int] = deque(maxlen=PICTURES_KEPT)
         self._tops: deque[int | None] = deque(maxlen=PICTURES_KEPT)  # theirs, each at the same place
         self._bottoms: deque[int | None] = deque(maxlen=PICTURES_KEPT)
+        self.again = (
+            False  # the last one was shown before, down to the noise: where it is dark that may be all there is
+        )
         self._unlit: deque[tuple[bool, ...]] = deque(maxlen=PICTURES_KEPT)  # bands of LED pictures
 
     def met(self, picture: Photometry) -> Witness | None:
         """Whether all of it was shown before, or it is of two exposures. Ask once for each frame."""
+        self.again = picture.fingerprint is not None and picture.fingerprint in self._wholes
         found = Witness.TORN if picture.torn or self._newly_unlit(picture.unlit) else None
         if picture.fingerprint is None:
             return found
-        if picture.fingerprint in self._wholes:
+        if self.again:
             return found if picture.light is Light.DARK else Witness.REPEATED
         top, bottom = picture.top, picture.bottom
         if (top is not None and top in self._tops) or (bottom is not None and bottom in self._bottoms):

@@ -23,6 +23,7 @@ class CameraConfig:
     timing: FrameTiming = USUAL_TIMING
     trigger: Trigger = "none"
     colour_gains: tuple[float, float] | None = None  # red and blue over green, Picamera2's ColourGains
+    slides: tuple[int, ...] = ()  # of those lit in turn, the ones whose light it sees, from 0; none: all
     sensor_crop: tuple[int, int, int, int] | None = None  # the calibration's: what the mode must show of the sensor
 
     @property

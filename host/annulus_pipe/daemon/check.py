@@ -27,7 +27,7 @@ from annulus_pipe.daemon.samples import open_sensors
 from annulus_pipe.link import operate
 from annulus_pipe.link.client import Client
 from annulus_pipe.link.hardware import interlock_line, use_both_inputs
-from annulus_pipe.link.messages import InterlockFlag, Polarity
+from annulus_pipe.link.messages import InterlockFlag, Polarity, Slides
 from annulus_pipe.link.pins import pins_text
 from annulus_pipe.link.problems import too_old
 from annulus_pipe.qualification.applicability import Applicability
@@ -73,7 +73,7 @@ def check_head(path: Path) -> list[CheckRow]:
         lambda: _controller(config.port or "", config.interlock_antivalent),
         "" if config.port else "none: frames have no labels",
     )
-    if config.port and config.inverted:
+    if config.port and (config.inverted or config.lamps.slides > 1):
         look("wiring", lambda: _wiring(config))
     found += _cameras(config)
     look("sensors", lambda: _sensors(config), "" if config.sensors else "none")
@@ -116,9 +116,12 @@ def _wiring(config: HeadConfig) -> str:
     with Client(port) as client:
         if not client.session.knows(Polarity):
             raise AnnulusError(f"{port}: {too_old(Polarity)}")
+        if pins.slides > 1 and not client.session.knows(Slides):
+            raise AnnulusError(f"{port}: {too_old(Slides)}")
     resistors = ", ".join(f"GP{pin}" for pin, _ in pins.pulled_up)
     need = f"; 4.7 kohm to 3.3 V at {resistors} keeps them dark through a reset" if resistors else ""
-    return f"inverted: {pins_text(pins.inverted)}{need}"
+    turns = f"; {pins.slides} slides are lit in turn" if pins.slides > 1 else ""
+    return f"inverted: {pins_text(pins.inverted)}{turns}{need}"
 
 
 def _cameras(config: HeadConfig) -> list[CheckRow]:

@@ -9,7 +9,7 @@ from typing import Any, cast
 from annulus_pipe.capture.timing import FrameTiming
 from annulus_pipe.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus_pipe.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
-from annulus_pipe.daemon.wiring import check_triggers, inverted_pins, trigger_of
+from annulus_pipe.daemon.wiring import SLIDES_RANGE, check_cycle, check_triggers, inverted_pins, slides_seen, trigger_of
 from annulus_pipe.geometry.calibration import Calibration
 from annulus_pipe.job import WORDS, JobSheet, provenance
 from annulus_pipe.qualification.quoting import Qualification
@@ -74,6 +74,7 @@ class LampConfig:
     led_width_us: float = 2500.0
     preamble_frames: int = 15  # of an optical preamble; 0: none
     preamble_interval_s: float = 20.0  # from one to the next; 0: on arming and after a doubt only
+    slides: int = 1  # that take the projector's flashes in turn, each by a lamp of its own
     host_timeout_ms: int = HOST_TIMEOUT_DEFAULT_MS  # lamps go dark when the daemon is silent for so long
 
     def check(self, timing: FrameTiming) -> None:
@@ -185,6 +186,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "readout_us",
         "trigger",
         "colour_gains",
+        "slides",
     ),
     "lamps": tuple(field.name for field in fields(LampConfig)),
     "odometer": ("mm_per_count", "max_speed_mm_s"),
@@ -234,13 +236,15 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     if len({camera.timing.fps for camera in cameras}) > 1:
         raise ValueError("[camera] fps differs from camera to camera, but they share one frame-sync")
     check_triggers(cameras)
+    lamps = _lamps(data.get("lamps", {}))
+    check_cycle(lamps.slides, lamps.ratio, cameras)
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
     paint = _optional(data, "calibration", "colour")
     vouching = [_optional(data, "qualification", name) for name in _SECTIONS["qualification"]]
     workers, control = data.get("workers", {}), data.get("control", {})
     config = HeadConfig(
         cameras=cameras,
-        lamps=_lamps(data.get("lamps", {})),
+        lamps=lamps,
         port=_optional(data, "controller", "port"),
         inverted=inverted_pins(data.get("controller", {})),
         mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
@@ -313,6 +317,7 @@ def _camera(content: Mapping[str, Any]) -> CameraConfig:
         ),
         trigger_of(content),
         _gains(content),
+        slides=slides_seen(content),
     )
 
 
@@ -332,6 +337,7 @@ def _lamps(content: Mapping[str, Any]) -> LampConfig:
     whole = {  # and in which range; the others are numbers
         "ratio": (0, 15),
         "preamble_frames": (0, PREAMBLE_MAX),
+        "slides": SLIDES_RANGE,
         "host_timeout_ms": (HOST_TIMEOUT_LEAST_MS, HOST_TIMEOUT_MAX_MS),
     }
     given: dict[str, Any] = {

@@ -309,7 +309,7 @@ def interlock_for(config: HeadConfig) -> Interlock | None:
 
 def pins_for(config: HeadConfig) -> Pins:
     """What head.toml says of the wiring."""
-    pins, trigger = Pins(pins_named(config.inverted)), config.cameras[0].trigger
+    pins, trigger = Pins(pins_named(config.inverted), slides=config.lamps.slides), config.cameras[0].trigger
     if trigger == "none":
         return pins
     triggers = config.cameras[0].timing.triggered(trigger)

@@ -87,7 +87,7 @@ def power_up(
     strangers: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # has threads of its own, which no frame waits for
     for context in (ours, strangers):
         stack.callback(context.destroy, linger=0)
-    modes = tuple(_mode(feed) for feed in feeds)
+    modes = tuple(_mode(feed, config.lamps.slides) for feed in feeds)
     largest = max(mode.width * mode.height * CHANNELS[mode.encoding] for mode in modes)
     ring = FrameRing(config.slots, largest)  # cameras of several sizes share it: slots are as large as the largest
     stack.callback(ring.close)
@@ -114,7 +114,8 @@ def power_up(
     return Power(line, shared, doorkeeper, control, publishing, surveying, tuple(feeds), modes)
 
 
-def _mode(feed: CameraFeed) -> CameraMode:
+def _mode(feed: CameraFeed, slides: int) -> CameraMode:
     """Raises AnnulusError when the camera is not there."""
     width, height, encoding = feed.look()
-    return CameraMode(feed.number, width, height, encoding, round(1e9 / feed.config.timing.fps))
+    period_ns = round(1e9 / feed.config.timing.fps)
+    return CameraMode(feed.number, width, height, encoding, period_ns, slides, feed.config.slides)

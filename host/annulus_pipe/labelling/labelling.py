@@ -14,10 +14,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from annulus_pipe.capture.offset import Offset, calibrate_offset
-from annulus_pipe.capture.pairing import Labelled, Pairing
+from annulus_pipe.capture.pairing import Pairing
 from annulus_pipe.capture.photometry import Light
 from annulus_pipe.capture.proof import ProofState, Witness
 from annulus_pipe.capture.seen import FrameSeen as FrameSeen
+from annulus_pipe.capture.seen import Labelled
+from annulus_pipe.capture.slides import SlidesSeen
 from annulus_pipe.capture.witnesses import PICTURES_KEPT
 from annulus_pipe.controller import TICK_NS
 from annulus_pipe.labelling.navigation import Navigation
@@ -41,6 +43,8 @@ class CameraMode:
     height: int
     encoding: str
     period_ns: int
+    slides: int = 1  # of the head, that are lit in turn
+    sees: tuple[int, ...] = ()  # those of them whose light it sees; none: all
 
 
 class Labelling:
@@ -63,8 +67,13 @@ class Labelling:
         self._mode, self._navigation, self._alone = mode, navigation, alone
         navigation.journal.camera(alone, **asdict(mode), preambles=preambles)
         self._tell, self._without = tell, without
+        self._slides = SlidesSeen(mode.slides, mode.sees)
         self._pairing = Pairing(
-            mode.period_ns, history=navigation.edges, without=without, tell=lambda text: tell("labels", text)
+            mode.period_ns,
+            history=navigation.edges,
+            without=without,
+            tell=lambda text: tell("labels", text),
+            slides=self._slides,
         )
         self._seen: deque[FrameSeen] = deque(maxlen=OFFSET_FRAMES_KEPT)  # since labels were last believed
         self._shown: deque[int] = deque(maxlen=PICTURES_KEPT)  # fingerprints of the last pictures ..
@@ -115,7 +124,8 @@ class Labelling:
             if max(self._missing, self._again) >= self._navigation.edges.cycle / 2:
                 self._seen.clear()  # what those before prove, those from here on need not obey
         self._missing = self._missing if self._seen else 0
-        if self._again or (frame.picture.light in (Light.BOTH, Light.UNCLEAR) and not frame.picture.torn):
+        garbage = frame.picture.light in (Light.BOTH, Light.UNCLEAR) and not self._slides.seen  # or it looked away
+        if self._again or (garbage and not frame.picture.torn):
             self._sound_from_ns = frame.arrived_ns + 1
         elif self._seen and frame.sequence is None and self._missed(frame, self._seen[-1]):
             self._sound_from_ns = frame.arrived_ns
@@ -151,6 +161,7 @@ class Labelling:
                 preamble=Witness.PREAMBLE not in self._without,
                 before=self._pairing.before,
                 adrift=self._pairing.adrift,
+                slides=self._slides,
             )
         except AnnulusError as error:
             self._unproved = str(error)
@@ -169,7 +180,8 @@ class Labelling:
         for frame in self._seen:
             if frame.picture.light is Light.DARK:
                 flash = edges.lit(edges.nearest(frame.timestamp_ns - offset.offset_ns).ordinal)
-                last = frame.arrived_ns + 1 if flash is not None and flash.lamp is not Lamp.DARK else last
+                lit = flash is not None and flash.lamp is not Lamp.DARK and not self._slides.blind(flash)
+                last = frame.arrived_ns + 1 if lit else last
         return last
 
     def settled(self, frame: FrameSeen, now_ns: int) -> bool:

@@ -22,6 +22,7 @@ from typing import Any
 
 from annulus_pipe import untrusted
 from annulus_pipe.capture.photometry import Light, Photometry
+from annulus_pipe.controller import SLIDES_MAX
 from annulus_pipe.labelling.evidence import Row
 from annulus_pipe.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus_pipe.labelling.navigation import Navigation
@@ -221,7 +222,10 @@ def _number(row: Mapping[str, Any], name: str) -> float:
 def _mode(row: Mapping[str, Any]) -> CameraMode:
     camera, *side = (untrusted.whole(row[name], name, 0, SIDE_MAX) for name in ("camera", "width", "height"))
     period_ns = untrusted.whole(row["period_ns"], "period_ns", 1, 1 << 48)
-    return CameraMode(camera, side[0], side[1], untrusted.text(row["encoding"], "encoding", 64), period_ns)
+    slides = untrusted.whole(row.get("slides", 1), "slides", 1, SLIDES_MAX)  # recordings of before do not say
+    sees = tuple(untrusted.whole(one, "sees", 0, SLIDES_MAX - 1) for one in list(row.get("sees", ()))[:SLIDES_MAX])
+    encoding = untrusted.text(row["encoding"], "encoding", 64)
+    return CameraMode(camera, side[0], side[1], encoding, period_ns, slides, sees)
 
 
 def _edge(row: Mapping[str, Any]) -> EdgeSeen:

@@ -7,6 +7,8 @@ the one event that would, `booted`, may be lost. So whatever only grows is watch
 
 from annulus_pipe.controller import TICK_NS
 from annulus_pipe.link.clock import ClockMap
+from annulus_pipe.link.messages import Edge
+from annulus_pipe.vocabulary import EdgeIndex, Flash, Slot, Tick
 
 JUMP_NS = 50_000_000  # far more than any map is uncertain; a clock that runs is within one round trip
 _FUTURE = 1 << 31  # of counts modulo 2^32
@@ -53,3 +55,11 @@ class BootWatch:
         """Nothing is heard before it happened."""
         host_ns = clock.to_host(clock.extend(tick, received_ns)) if clock.locked else None
         return "it told of the future" if host_ns is not None and host_ns > received_ns + JUMP_NS else ""
+
+
+def flash_from(edge: Edge, tick: Tick, boot: int, epoch: int = 0) -> Flash:
+    """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
+    lamp = (edge.lamp, edge.delay, edge.width)
+    return Flash(
+        EdgeIndex(edge.edge), tick, Slot(edge.slot), *lamp, edge.odometer, edge.generation, boot, edge.flags, epoch
+    )

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from annulus_pipe.controller import TICK_NS
-from annulus_pipe.link.boots import BootWatch
+from annulus_pipe.link.boots import BootWatch, flash_from
 from annulus_pipe.link.clock import ClockMap
 from annulus_pipe.link.messages import (
     Arm,
@@ -33,6 +33,9 @@ from annulus_pipe.link.messages import (
     PingReply,
     Polarity,
     Preamble,
+    Slides,
+    SlidesLit,
+    SlidesLitReply,
     Stage,
     StateFlag,
     Status,
@@ -55,7 +58,7 @@ from annulus_pipe.link.problems import (
     too_old,
 )
 from annulus_pipe.link.session import Answer, EventReceived, LinkEvent, LinkSession, Rebooted, Unanswered, identify
-from annulus_pipe.vocabulary import EdgeFlag, EdgeIndex, Flash, Slot, Tick
+from annulus_pipe.vocabulary import EdgeFlag, Flash
 
 PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
 QUICK_PING_NS = 4_000_000  # until the clock is locked
@@ -64,14 +67,9 @@ RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
 PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
-ADDED = (
-    Configuration,
-    Preamble,
-    Polarity,
-    CameraTrigger,
-    Wiring,
-    Interlock,
-)  # which a controller of level 1 does not have
+# Which a controller of level 1 does not have.
+ADDED = (Configuration, Preamble, Polarity, CameraTrigger, Wiring, Slides, SlidesLit, Interlock)
+WIRED_NEXT = {Phase.WIRING: Phase.TRIGGERING, Phase.TRIGGERING: Phase.SHARING, Phase.SHARING: Phase.COMMITTING}
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 
@@ -104,14 +102,6 @@ class PhaseChanged:
 
 
 HeadEvent = LinkEvent | EdgeSeen | LampsCut | PhaseChanged
-
-
-def flash_from(edge: Edge, tick: Tick, boot: int, epoch: int = 0) -> Flash:
-    """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
-    lamp = (edge.lamp, edge.delay, edge.width)
-    return Flash(
-        EdgeIndex(edge.edge), tick, Slot(edge.slot), *lamp, edge.odometer, edge.generation, boot, edge.flags, epoch
-    )
 
 
 class HeadControl:
@@ -247,12 +237,16 @@ class HeadControl:
                 return self._pins.polarity(self._generation)
             case Phase.TRIGGERING:
                 return self._pins.trigger(self._generation)
+            case Phase.SHARING:
+                return self._pins.shared(self._generation)
             case Phase.COMMITTING:
                 return Commit(self._generation)
             case Phase.VERIFYING:
                 return Configuration()
             case Phase.CONFIRMING:
                 return Wiring()
+            case Phase.SHARED:
+                return SlidesLit()
             case Phase.PREPARING:
                 return self.preambles.wanted
             case Phase.CLEARING:
@@ -268,6 +262,7 @@ class HeadControl:
         if not isinstance(step, ADDED) or self.session.knows(type(step)):
             return True
         wired = isinstance(step, Polarity) and self._pins != AS_WIRED
+        wired |= isinstance(step, Slides) and self._pins.slides > 1
         if self.session.informed and (wired or isinstance(step, Interlock)):  # an input that nobody would look at
             self._enter(Phase.REFUSED, too_old(type(step)))
         elif self.session.informed:
@@ -276,13 +271,13 @@ class HeadControl:
 
     def _go_on_from(self, phase: Phase) -> None:
         """With what is in force: preambles, then the lamps."""
-        if phase is Phase.WIRING:
-            self._enter(Phase.TRIGGERING)
-        elif phase is Phase.TRIGGERING:
-            self._enter(Phase.COMMITTING)
+        if phase in WIRED_NEXT:
+            self._enter(WIRED_NEXT[phase])
         elif phase is Phase.VERIFYING and self.session.knows(Wiring):
             self._enter(Phase.CONFIRMING)
-        elif phase in (Phase.VERIFYING, Phase.CONFIRMING) and self.preambles.wanted is not None:
+        elif phase is Phase.CONFIRMING and self._pins.slides > 1:
+            self._enter(Phase.SHARED)
+        elif phase in (Phase.VERIFYING, Phase.CONFIRMING, Phase.SHARED) and self.preambles.wanted is not None:
             self._enter(Phase.PREPARING)
         else:
             self._enter(Phase.ARMING if self._armed else Phase.IDLE)
@@ -324,7 +319,7 @@ class HeadControl:
                 self._enter(Phase.STAGING)
             case Stage():
                 self._enter(Phase.WIRING)
-            case Polarity() | CameraTrigger():
+            case Polarity() | CameraTrigger() | Slides():
                 self._go_on_from(self.phase)
             case Commit():
                 self._committed = True
@@ -333,6 +328,8 @@ class HeadControl:
                 self._verified(answer.reply)
             case Wiring() if isinstance(answer.reply, WiringReply):
                 self._settle(self._pins.problem(answer.reply, self._generation))
+            case SlidesLit() if isinstance(answer.reply, SlidesLitReply):
+                self._settle(self._pins.slides_problem(answer.reply, self._generation))
             case Preamble():
                 self._go_on_from(Phase.PREPARING)
             case Status() if isinstance(answer.reply, StatusReply):

@@ -37,6 +37,7 @@ from annulus_pipe.link.messages import (
     Move,
     Pattern,
     Polarity,
+    Slides,
     Stage,
     StageReply,
     StateFlag,
@@ -209,6 +210,10 @@ def configure(port: str, stage: Stage, pins: Pins | None = None) -> dict[str, ob
         if pins is not None and client.session.knows(Polarity):
             client.request(pins.polarity(stage.generation))
             client.request(pins.trigger(stage.generation))
+            if client.session.knows(Slides):
+                client.request(pins.shared(stage.generation))
+            elif pins.slides > 1:
+                raise AnnulusError(f"{port}: {too_old(Slides)}")
         elif pins not in (None, AS_WIRED):
             raise AnnulusError(f"{port}: {too_old(Polarity)}")
         client.request(Commit(stage.generation))

@@ -15,9 +15,11 @@ class Phase(StrEnum):
     STAGING = "staging"
     WIRING = "wiring"  # says which pins are inverted
     TRIGGERING = "triggering"  # says how cameras are triggered
+    SHARING = "sharing"  # says how many slides share the projector's flashes
     COMMITTING = "committing"
     VERIFYING = "verifying"  # reads back what is in force ..
-    CONFIRMING = "confirming"  # .. and which pins are inverted with it
+    CONFIRMING = "confirming"  # .. and which pins are inverted with it ..
+    SHARED = "shared"  # .. and how many slides are lit in turn
     PREPARING = "preparing"  # says how optical preambles are to be
     CLEARING = "clearing"
     ARMING = "arming"

@@ -4,8 +4,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from annulus_pipe.controller import PIN_CAMERA_TRIGGER, PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_TRIGGER, TICKS_PER_US
-from annulus_pipe.link.messages import CameraTrigger, Polarity, PolarityFlag, WiringReply
+from annulus_pipe.controller import (
+    PIN_CAMERA_TRIGGER,
+    PIN_LED,
+    PIN_MICROWAVE,
+    PIN_PROJECTOR,
+    PIN_SLIDE_2,
+    PIN_SLIDE_3,
+    PIN_SLIDE_4,
+    PIN_TRIGGER,
+    SLIDES_MAX,
+    TICKS_PER_US,
+)
+from annulus_pipe.link.messages import CameraTrigger, Polarity, PolarityFlag, Slides, SlidesLitReply, WiringReply
 from annulus_pipe.untrusted import shown
 from annulus_pipe.vocabulary import AnnulusError
 
@@ -20,17 +31,19 @@ NONE = PolarityFlag(0)
 class Pins:
     """`inverted`: pins whose driver, or source, means the other level. `trigger_ticks`: how long a trigger for cameras
     lasts; 0: cameras run by themselves. `trigger_delay_ticks`: after the edge of the sync input that begins it; 0: one
-    a frame period.
+    a frame period. `slides`: how many are lit in turn, each by a lamp of its own.
     """
 
     inverted: PolarityFlag = NONE
     trigger_ticks: int = 0
     trigger_delay_ticks: int = 0
+    slides: int = 1
 
     def triggering(self, trigger: str, width_us: float, delay_us: float = 0.0) -> "Pins":
         """With triggers that last so long, for a camera of this kind of daemon.camera_config.Trigger."""
         low = PolarityFlag.CAMERA_TRIGGER if trigger.startswith("xtrig") else NONE  # an inverter on the way says so too
-        return Pins(self.inverted ^ low, round(width_us * TICKS_PER_US), round(delay_us * TICKS_PER_US))
+        ticks = (round(width_us * TICKS_PER_US), round(delay_us * TICKS_PER_US))
+        return Pins(self.inverted ^ low, *ticks, self.slides)
 
     def polarity(self, generation: int) -> Polarity:
         """The command that tells the controller so, for the staged configuration."""
@@ -38,6 +51,18 @@ class Pins:
 
     def trigger(self, generation: int) -> CameraTrigger:
         return CameraTrigger(generation, self.trigger_ticks, self.trigger_delay_ticks)
+
+    def shared(self, generation: int) -> Slides:
+        return Slides(generation, self.slides)
+
+    def slides_problem(self, found: SlidesLitReply, generation: int) -> str:
+        """Empty when so many slides are lit in turn with that configuration; else one line."""
+        if (found.generation, found.count) == (generation, self.slides):
+            return ""
+        return (
+            f"{found.count} slides are lit in turn with configuration {found.generation}, expected {self.slides} with"
+            f" {generation}"
+        )
 
     def problem(self, found: WiringReply, generation: int) -> str:
         """Empty when this is in force with that configuration; else one line."""
@@ -58,7 +83,8 @@ class Pins:
     @property
     def pulled_up(self) -> list[tuple[int, int]]:
         """(pin, 1) of each output that a resistor outside must keep at its dark level while nobody drives it."""
-        return [(pin, 1) for flag, pin in OUTPUTS.items() if flag in self.inverted]
+        slides = SLIDE_PINS[1 : self.slides] if PolarityFlag.PROJECTOR in self.inverted else ()
+        return [(pin, 1) for pin in (*(pin for flag, pin in OUTPUTS.items() if flag in self.inverted), *slides)]
 
 
 def _trigger_text(width: int, delay: int) -> str:
@@ -73,6 +99,9 @@ OUTPUTS = {
     PolarityFlag.TRIGGER: PIN_TRIGGER,
     PolarityFlag.CAMERA_TRIGGER: PIN_CAMERA_TRIGGER,
 }
+SLIDE_PINS = (PIN_PROJECTOR, PIN_SLIDE_2, PIN_SLIDE_3, PIN_SLIDE_4)
+"""The lamp's output of each slide."""
+
 AS_WIRED = Pins()
 
 
@@ -86,8 +115,16 @@ def pins_text(pins: PolarityFlag) -> str:
 
 def pins_from(data: Mapping[str, Any]) -> Pins:
     """Of asdict()."""
-    ticks = (int(data.get(name, 0)) for name in ("trigger_ticks", "trigger_delay_ticks"))
-    return Pins(PolarityFlag(data.get("inverted", 0)), *ticks)
+    ticks = [int(data.get(name, 0)) for name in ("trigger_ticks", "trigger_delay_ticks")]
+    return Pins(PolarityFlag(data.get("inverted", 0)), ticks[0], ticks[1], int(data.get("slides", 1)))
+
+
+def check_slides(slides: int, ratio: int) -> None:
+    """ValueError where the cycle cannot light so many slides equally often."""
+    if slides > 1 and (slides > ratio or ratio % slides):
+        fit = [n for n in range(2, SLIDES_MAX + 1) if ratio and ratio % n == 0]
+        one_of = f"1{''.join(f', {n}' for n in fit)}"
+        raise ValueError(f"{slides} slides do not share {ratio} projector frames a cycle evenly, expected {one_of}")
 
 
 def pins_of(text: str) -> Pins:

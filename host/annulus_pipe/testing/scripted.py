@@ -57,6 +57,10 @@ from annulus_pipe.link.messages import (
     Reply,
     Reread,
     RereadReply,
+    Slides,
+    SlidesLit,
+    SlidesLitReply,
+    SlidesReply,
     Stage,
     StageReply,
     StateFlag,
@@ -92,6 +96,7 @@ class ScriptedController:
         self.edges = 0
         self._staged: Stage | None = None
         self._staged_inverted = self.inverted = PolarityFlag(0)
+        self._staged_slides = self.slides = 1
         self._staged_trigger = self.trigger = (0, 0)
         self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
@@ -199,11 +204,11 @@ class ScriptedController:
                 return PreambleReply(*ok, length, interval)
             case Stage(generation):
                 self._staged, self._staged_inverted = command, self.inverted
-                self._staged_trigger = self.trigger
+                self._staged_trigger, self._staged_slides = self.trigger, self.slides
                 return StageReply(*ok, generation, 0, 0)
             case Commit(generation):
                 self.in_force, self.inverted = self._staged, self._staged_inverted
-                self.trigger = self._staged_trigger
+                self.trigger, self.slides = self._staged_trigger, self._staged_slides
                 return CommitReply(*ok, generation)
             case Polarity(generation, inverted):
                 self._staged_inverted = inverted
@@ -211,6 +216,12 @@ class ScriptedController:
             case CameraTrigger(generation, width, delay):
                 self._staged_trigger = width, delay
                 return CameraTriggerReply(*ok, generation, width, delay)
+            case Slides(generation, count):
+                self._staged_slides = count
+                return SlidesReply(*ok, generation, count)
+            case SlidesLit():
+                held = self.in_force.generation if self.in_force else 0
+                return SlidesLitReply(*ok, held, self.slides, self.slides if held else 0)
             case Wiring():
                 held = self.in_force.generation if self.in_force else 0
                 return WiringReply(*ok, held, self.inverted, PolarityFlag(0), *self.trigger)

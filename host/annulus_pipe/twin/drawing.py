@@ -70,6 +70,7 @@ class Drawing:
                     exposure.z_mm,
                     exposure.projector,
                     exposure.led,
+                    slot=exposure.slides[0] if exposure.slides else None,
                     seed=exposure.sequence,
                     out=slot if part.top == 0.0 else None,
                 )

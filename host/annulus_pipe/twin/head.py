@@ -36,7 +36,6 @@ from annulus_pipe.twin.faults import Faults
 from annulus_pipe.twin.profiles import load_faults
 from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.worlds import World, demo_world, stereo_world
-from annulus_pipe.twin.worlds.sensor_head import Projector
 from annulus_pipe.vocabulary import AnnulusError
 
 MM_PER_FRAME = 3.0
@@ -227,25 +226,32 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
         flashes_in = timing.triggered(head.trigger).flashes_in
         triggered = f'\n        trigger = "{head.trigger}"'
     delay_us = math.ceil(flashes_in.opens_us + FLASH_AFTER_OPENING_US)
+    turns = f"\nslides = {world.turns}" if world.turns > 1 else ""
+
+    def sees(number: int) -> str:
+        return f"\nslides = {list(world.sees(number))}" if world.sees(number) else ""
+
     section = "[[camera]]" if world.others else "[camera]"
     cameras = "".join(
         f"""
         {section}
         kind = "remote"
-        device = "{address}"
+        device = "{address}"{sees(number)}
         width = {one.camera.width}
         height = {one.camera.height}
         fps = {timing.fps:g}
         exposure_us = {timing.exposure_us:.1f}
         readout_us = {timing.readout_us:.1f}{triggered}"""
-        for address, one in zip(head.camera_addresses or (head.camera_address,), world.cameras, strict=True)
+        for number, (address, one) in enumerate(
+            zip(head.camera_addresses or (head.camera_address,), world.cameras, strict=True)
+        )
     )
     lines = f"""
         [controller]
         port = "{head.port_url}"
         inverted = {json.dumps(pins_list(head.pins.inverted))}{cameras}
         [lamps]
-        ratio = 4
+        ratio = 4{turns}
         projector_delay_us = {delay_us}
         projector_width_us = {world.projector.nominal_us:g}
         led_delay_us = {delay_us}
@@ -260,6 +266,15 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
     if calibration is not None:
         lines += ["[calibration]", f"file = {json.dumps(str(calibration))}"]
     return "".join(line.strip() + "\n" for line in lines if line.strip()).replace("\n[", "\n\n[")
+
+
+def world_named(head: str, seed: int) -> World:
+    """Of HEADS or the wings' worlds. AnnulusError for another."""
+    heads = {**HEADS, **merged("worlds")}
+    if head not in heads:
+        raise AnnulusError(f"head {head!r}: expected one of {', '.join(heads)}")
+    world: World = heads[head](seed)
+    return world
 
 
 def run_head(
@@ -280,12 +295,7 @@ def run_head(
     rolls by `roll_deg` either way on its way through the pipe. buried_m : the pipe is so long and lies in a ground with
     sewers that it was drilled through, and the head has capacitive sectors.
     """
-    heads = {**HEADS, **merged("worlds")}
-    if head not in heads:
-        raise AnnulusError(f"head {head!r}: expected one of {', '.join(heads)}")
-    world = replace(heads[head](seed), roll_deg=roll_deg)
-    if not isinstance(world.projector, Projector) and world.projector.in_turn:
-        raise AnnulusError(f"head {head!r}: its slides are lit in turn, expected one that every flash lights")
+    world = replace(world_named(head, seed), roll_deg=roll_deg)
     if buried_m is not None:
         ground = merged("lights")["ground"].along(1000 * buried_m, seed)
         world = replace(world, travel_mm=1000 * buried_m, ground=ground)

@@ -24,17 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.capture.timing import FrameTiming
-from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS, TICKS_PER_US
+from annulus_pipe.controller import PIN_INTERLOCK, PIN_LED, PIN_SYNC, TICK_NS, TICKS_PER_US
 from annulus_pipe.geometry.pose import Pose
 from annulus_pipe.link.messages import PolarityFlag
-from annulus_pipe.link.pins import AS_WIRED, Pins
+from annulus_pipe.link.pins import AS_WIRED, SLIDE_PINS, Pins
 from annulus_pipe.twin.cable import Cable, Stimulus
 from annulus_pipe.twin.draws import Draws
 from annulus_pipe.twin.faults import NO_FAULTS, Faults
 from annulus_pipe.twin.worlds.world import World
 from annulus_pipe.vocabulary import CameraSequence, Lamp
 
-_LAMPS = {PIN_PROJECTOR: PolarityFlag.PROJECTOR, PIN_LED: PolarityFlag.LED}
+_LAMPS = {**dict.fromkeys(SLIDE_PINS, PolarityFlag.PROJECTOR), PIN_LED: PolarityFlag.LED}
 UNLIT = 1e-4  # of a lamp's nominal light: less is none
 
 
@@ -72,6 +72,7 @@ class Exposure:
     dropped: bool  # the driver lost it
     missed: int = 0  # triggers until then that made no frame: none of its numbers, though `sequence` has them
     reads_out: int = 0  # ticks from the edge to the end of its readout
+    slides: tuple[int, ...] = ()  # of those lit in turn, the ones that put light into it
 
     @property
     def pose(self) -> Pose:
@@ -128,11 +129,11 @@ class ImageSensor:
         self._announces = self.edge(0) - self._readout  # tick at which that of the next one begins
         self._handed_out = start_tick - 1  # stimuli up to here were handed out
         self._pending: list[Stimulus] = []
-        self._gates = {PIN_PROJECTOR: _Gate(), PIN_LED: _Gate()}
+        self._gates = {pin: _Gate() for pin in (*SLIDE_PINS[: pins.slides], PIN_LED)}
         self.cable = Cable(world.travel_mm, world.mm_per_count, start_tick, speed_mm_s)
         rows = np.arange(world.camera.height) / max(world.camera.height - 1, 1)
         self._nominal = {
-            PIN_PROJECTOR: world.projector.nominal_us * TICKS_PER_US,
+            **dict.fromkeys(SLIDE_PINS, world.projector.nominal_us * TICKS_PER_US),
             PIN_LED: world.led.nominal_us * TICKS_PER_US,
         }
         self._alike: dict[tuple[int, int], tuple[NDArray[np.float32], tuple[float, float]]] = {}  # rows by pin, ticks
@@ -205,7 +206,10 @@ class ImageSensor:
 
     def _expose(self, frame: int) -> Exposure:
         edge = self.edge(frame)
-        projector, led = (self._collected(pin, edge) for pin in (PIN_PROJECTOR, PIN_LED))
+        by_slide = [self._collected(pin, edge) for pin in SLIDE_PINS[: self._pins.slides]]
+        slides = tuple(number for number, light in enumerate(by_slide) if light.weight > 0.0)
+        projector = _together([by_slide[number] for number in slides] or by_slide[:1])
+        led = self._collected(PIN_LED, edge)
         at = float(edge - self._readout // 2 - self._exposure // 2)  # where nothing lit it
         weight = projector.weight + led.weight
         if weight > 0.0:
@@ -218,7 +222,7 @@ class ImageSensor:
             late += self.faults.timestamp_jitter_us * float(rng.standard_normal())
         stamp = self.clock.ns(edge + late * TICKS_PER_US)
         rows = (projector.rows, led.rows)
-        exposure = Exposure(CameraSequence(frame), edge, stamp, z, self.world, *rows, dropped)
+        exposure = Exposure(CameraSequence(frame), edge, stamp, z, self.world, *rows, dropped, slides=slides)
         if projector.alike is not None and led.alike is not None:  # known without a look at the rows
             exposure.__dict__["extremes"] = {Lamp.PROJECTOR: projector.alike, Lamp.LED: led.alike}
         return exposure
@@ -277,6 +281,15 @@ class _Light(NamedTuple):
     weight: float  # ticks, over all rows
     at: float  # centre of gravity, tick
     alike: tuple[float, float] | None = None  # least and most, where all rows are known to have got the same
+
+
+def _together(lights: "Sequence[_Light]") -> "_Light":
+    """Of several slides, of which one at most should have been lit."""
+    if len(lights) == 1:
+        return lights[0]
+    weight = sum(light.weight for light in lights)
+    at = sum(light.at * light.weight for light in lights) / weight
+    return _Light(np.sum([light.rows for light in lights], axis=0), weight, at)
 
 
 @dataclass(slots=True)

@@ -28,10 +28,10 @@ _BITS = (1 << 64) - 1
 class WorldPictures:
     """Of one world. `travel_mm` of it is where the stations stand; z beyond begins anew."""
 
-    def __init__(self, world: World, seed: int) -> None:
+    def __init__(self, world: World, seed: int, camera: int = 0) -> None:
         self._world, self._seed = world, seed
-        self._renderer = Renderer(world)
-        self._kept: dict[tuple[bool, bool, int, int], tuple[Image, Photometry]] = {}
+        self._renderer = Renderer(world, camera)
+        self._kept: dict[tuple[bool, bool, int | None, int, int], tuple[Image, Photometry]] = {}
         self._odd: OrderedDict[int, Image] = OrderedDict()
         self._blank = measure(np.zeros((world.camera.height, world.camera.width), np.uint8))
 
@@ -60,7 +60,7 @@ class WorldPictures:
             bottom = self._fingerprint(last)
             mixed = top ^ (bottom << 1 & _BITS)
         m = measured
-        return Photometry(m.peak, m.lit, m.spread, m.bands, mixed, top >> 16, bottom >> 16)
+        return Photometry(m.peak, m.lit, m.spread, m.bands, mixed, top >> 16, bottom >> 16, m.contrast)
 
     def _image(self, exposure: Exposure) -> Image:
         lit = _lit(exposure)
@@ -69,7 +69,8 @@ class WorldPictures:
         number = int(exposure.sequence)
         if number not in self._odd:
             z = exposure.z_mm % self._world.travel_mm
-            drawn = self._renderer.render(self._world.pose(z), z, exposure.projector, exposure.led, seed=number)
+            lights, slot = (exposure.projector, exposure.led), _slot(exposure)
+            drawn = self._renderer.render(self._world.pose(z), z, *lights, slot=slot, seed=number)
             self._odd[number] = drawn
             if len(self._odd) > KEPT:
                 self._odd.popitem(last=False)
@@ -79,12 +80,14 @@ class WorldPictures:
         """One of those that are kept. Neighbours never share one."""
         station = int(exposure.z_mm % self._world.travel_mm / self._world.travel_mm * STATIONS)
         noise = int(exposure.sequence) % NOISES
-        key = (*lit, station, noise)
+        slot = _slot(exposure)
+        key = (*lit, slot, station, noise)
         kept = self._kept.get(key)
         if kept is None:
             z = (station + 0.5) * self._world.travel_mm / STATIONS
             seed = 1 + noise + NOISES * station
-            image = self._renderer.render(self._world.pose(z), z, float(lit[0]), float(lit[1]), seed=seed)
+            lights = (float(lit[0]), float(lit[1]))
+            image = self._renderer.render(self._world.pose(z), z, *lights, slot=slot, seed=seed)
             kept = self._kept[key] = image, measure(image)
         return kept
 
@@ -94,6 +97,11 @@ class WorldPictures:
         x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 & _BITS
         x = (x ^ (x >> 27)) * 0x94D049BB133111EB & _BITS
         return x ^ (x >> 31)
+
+
+def _slot(exposure: Exposure) -> int | None:
+    """A slot at which the slide is lit that lit it."""
+    return exposure.slides[0] if exposure.slides else None
 
 
 def _lit(exposure: Exposure) -> tuple[bool, bool] | None:

@@ -10,7 +10,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import msgpack
@@ -20,9 +20,9 @@ import zmq
 from annulus_pipe.capture.camera import BAYER_RGGB8
 from annulus_pipe.capture.remote import MESSAGE_MAX
 from annulus_pipe.capture.timing import FrameTiming
-from annulus_pipe.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S, TICKS_PER_US
+from annulus_pipe.controller import PIN_LED, TICK_NS, TICK_S, TICKS_PER_US
 from annulus_pipe.link.messages import BootCause
-from annulus_pipe.link.pins import pins_from
+from annulus_pipe.link.pins import SLIDE_PINS, pins_from
 from annulus_pipe.sensors.sample import Sample
 from annulus_pipe.twin.camera_server import CameraServer
 from annulus_pipe.twin.drawing import Drawing, DrawingJob
@@ -118,6 +118,8 @@ class TwinHead:
         if trigger != "none":
             triggers = self.timing.triggered(trigger)
             pins = pins.triggering(trigger, triggers.width_us, triggers.delay_us)
+        self.slides = self.world.turns
+        pins = replace(pins, slides=self.slides)
         self.board.pull(*pins.pulled_up)
         self.board.power_on(self.boot)
         self.line = LossyLine(self.faults, seed)
@@ -264,7 +266,7 @@ class TwinHead:
             self.board.input(max(at, self.board.tick), pin, level)
         self.board.run_until(tick)
         pins = self.board.pins()
-        lamps = pins["tick"][np.isin(pins["pin"], (PIN_PROJECTOR, PIN_LED))]
+        lamps = pins["tick"][np.isin(pins["pin"], (*SLIDE_PINS, PIN_LED))]
         if len(lamps):
             self.lamp_tick = int(lamps[-1])
         for sample in self.sensors.samples(tick, pins):
@@ -320,7 +322,7 @@ class TwinHead:
                     return {"refused": str(error)}
                 return {}
         last_lit_s = None if self.lamp_tick is None else (now - self.lamp_tick) * TICK_S
-        lamps = (("projector", PIN_PROJECTOR), ("led", PIN_LED))
+        lamps = (*(("projector", pin) for pin in SLIDE_PINS[: self.slides]), ("led", PIN_LED))
         on = [name for name, pin in lamps if self.sensor.is_lit(pin, self.board.level(pin))]
         return {
             **self.counts,

@@ -70,7 +70,7 @@ def write_scan(
         with (folder / TABLE).open("w", newline="") as file:
             table = csv.writer(file)
             light = world.projector
-            turning = light if not isinstance(light, Projector) and light.in_turn else None
+            turning = light if not isinstance(light, Projector) and light.turns > 1 else None
             extra = [*([ROLL] if world.roll_deg else []), *([CAMERA] if several else []), *([SLOT] if turning else [])]
             table.writerow([*COLUMNS, *extra])
             stations = np.linspace(0.0, world.travel_mm, frames)

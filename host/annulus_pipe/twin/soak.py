@@ -20,8 +20,9 @@ from annulus_pipe.capture.proof import Witness
 from annulus_pipe.link.pins import AS_WIRED, Pins
 from annulus_pipe.twin.emulated import open_board
 from annulus_pipe.twin.faults import Faults
+from annulus_pipe.twin.head import world_named
 from annulus_pipe.twin.profiles import profile_of
-from annulus_pipe.twin.soak_world import SHOWN_MAX, SoakWorld
+from annulus_pipe.twin.soak_world import HEAD_WIDTH, SHOWN_MAX, SoakWorld
 from annulus_pipe.vocabulary import AnnulusError
 
 FRAMES_MIN = 100
@@ -41,13 +42,15 @@ def soak(
     world_frames: int = WORLD_FRAMES,
     pins: Pins = AS_WIRED,
     trigger: str = "none",
+    head: str = "",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label and place.
 
     without : witnesses that are not asked: sabotage, which shows what each is good for. jobs : processes, None for one
     a core. board : native or emulated: the same core on a simulated board, or the very
-    image a user flashes. pins : the head's wiring. trigger : what its camera takes.
+    image a user flashes. pins : the head's wiring. trigger : what its camera takes. head : a world of the twin by its
+    name, with all of its cameras in turn, one a world; none: a clean pipe under rings.
 
     Raises AnnulusError when `frames` is too few, a name is unknown, or with the emulated board where silicon would
     have hung.
@@ -68,6 +71,7 @@ def soak(
             profile.ratio,
             pins,
             trigger,
+            head,
         )
         for i, length in enumerate(lengths)
     ]
@@ -85,7 +89,7 @@ def soak(
     return _together(frames, seed, reports, time.perf_counter() - began)
 
 
-_Order = tuple[int, int, Faults, frozenset[Witness], str, int, Pins, str]
+_Order = tuple[int, int, Faults, frozenset[Witness], str, int, Pins, str, str]
 _Progress = Callable[[int], None] | None
 
 
@@ -98,11 +102,17 @@ def _world(
     ratio: int,
     pins: Pins,
     trigger: str,
+    head: str,
     progress: _Progress = None,
 ) -> dict[str, Any]:
     opened = open_board(board)
     try:
-        world = SoakWorld(frames, seed, faults, opened, without, ratio, pins=pins, trigger=trigger)
+        seen = world_named(head, seed) if head else None
+        camera = seed % len(seen.cameras) if seen is not None else 0
+        small = None if seen is None else seen.scaled(HEAD_WIDTH)
+        world = SoakWorld(
+            frames, seed, faults, opened, without, ratio, small, pins=pins, trigger=trigger, camera=camera
+        )
         gc.freeze()  # all that was imported: nobody need look through it again
         for frame in range(frames):
             world.frame(frame)

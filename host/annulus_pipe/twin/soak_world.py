@@ -32,6 +32,7 @@ from annulus_pipe.twin.worlds import World, clean_world
 from annulus_pipe.vocabulary import Label
 
 WIDTH = 104  # pixels: stripes stay apart, and a frame takes a fraction of a millisecond
+HEAD_WIDTH = 320  # .. those of fringes, too
 MS_TICKS = 1000 * TICKS_PER_US
 STEP_TICKS = MS_TICKS // 2  # between two looks at the line while an answer is awaited
 IDLE_TICKS = 20 * MS_TICKS
@@ -50,6 +51,9 @@ ZERO_FRAMES = 250  # after a restart the operator says where the head is
 QUIET_FRAMES = 250  # 10 s: frames unknown for longer ..
 TOLD_BEFORE = 50  # .. and nobody told, then or shortly before
 SHOWN_MAX = 20
+
+
+WRONG = (LabelVerdict.WRONG_LAMP, LabelVerdict.WRONG_SLOT, LabelVerdict.WRONG_PLACE)
 
 
 class Waiting(NamedTuple):
@@ -89,9 +93,10 @@ class SoakWorld:
         world: World | None = None,
         pins: Pins = AS_WIRED,
         trigger: str = "none",
+        camera: int = 0,
     ) -> None:
-        """`world`: a clean pipe in small pictures where none is given. `pins`: the head's wiring.
-        `trigger`: the camera's, of those in head.toml.
+        """`world`: a clean pipe in small pictures where none is given. `camera`: which of its. `pins`: the head's
+        wiring. `trigger`: the camera's, of those in head.toml.
         """
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = flashes_in = FrameTiming(25.0, 38_000.0, 28_000.0)
@@ -103,6 +108,7 @@ class SoakWorld:
             pins = pins.triggering(trigger, triggers.width_us, triggers.delay_us)
         self.period = self.timing.period_us * TICKS_PER_US
         self.world = world or clean_world(seed=seed).scaled(WIDTH)
+        pins = replace(pins, slides=self.world.turns)
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
         self.sensor = sensor_of(
             replace(self.world, travel_mm=REACH_MM),
@@ -115,7 +121,7 @@ class SoakWorld:
             pins=pins,
         )
         self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
-        self.pictures = WorldPictures(self.world, seed)
+        self.pictures = WorldPictures(self.world, seed, camera)
         self.line = LossyLine(faults, seed)
         self.board = board
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
@@ -125,11 +131,12 @@ class SoakWorld:
         stage = soak_configuration(flashes_in, self.world, ratio=ratio, tolerance_permille=tolerance)
         self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S), pins=pins)
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
-        camera = self.world.camera
-        mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
+        seen = self.world.cameras[camera].camera
+        period_ns = round(self.timing.period_us * 1000)
+        mode = CameraMode(0, seen.width, seen.height, BAYER_RGGB8, period_ns, pins.slides, self.world.sees(camera))
         self.labelling = Labelling(mode, self.navigation, self._reported, False, without=without)
         place_mm = PLACE_MM + (SPEED_MAX_MM_S * self.timing.period_us * 1e-6 if trigger != "none" else 0.0)
-        self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable, place_mm)
+        self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable, place_mm, pins.slides)
         self.on_the_way: deque[Delivered] = deque()
         self.waiting: deque[Waiting] = deque()
         self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[LabelVerdict]()
@@ -370,12 +377,13 @@ class SoakWorld:
     def report(self) -> dict[str, Any]:
         spans = self._spans()
         disturbed = [d for d in (*self.disturbed, *self.driver.disturbed) if not any(a <= d[1] < b for a, b in spans)]
-        wrong = Counter({kind: self.verdicts[kind] for kind in (LabelVerdict.WRONG_LAMP, LabelVerdict.WRONG_PLACE)})
+        wrong = Counter({kind: self.verdicts[kind] for kind in WRONG})
         return {
             "frames": self.frames,
             "seed": self.seed,
             "wrong": wrong.total(),
             "wrong_lamps": wrong[LabelVerdict.WRONG_LAMP],
+            "wrong_slots": wrong[LabelVerdict.WRONG_SLOT],
             "wrong_places": wrong[LabelVerdict.WRONG_PLACE],
             "unknown": self.labels[Label.UNKNOWN],
             "unlit": self.unlit,

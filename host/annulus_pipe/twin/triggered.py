@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.capture.timing import TRIGGER_EXTRA_US, is_on_sync
-from annulus_pipe.controller import PIN_CAMERA_TRIGGER, TICKS_PER_US
+from annulus_pipe.controller import PIN_CAMERA_TRIGGER, PIN_LED, TICKS_PER_US
 from annulus_pipe.link.messages import PolarityFlag
 from annulus_pipe.twin.cable import Stimulus
 from annulus_pipe.twin.draws import Draws
@@ -88,19 +88,31 @@ class TriggeredSensor(ImageSensor):
     def _exposed(self, number: CameraSequence, opens: int, edge: int, missed: int) -> Exposure:
         closes = edge + self._extra
         rows = len(self._row_close)
-        lights, weight, moment = [], 0.0, 0.0
-        for pin, gate in self._gates.items():
+        lights, slides, weight, moment = [], [], 0.0, 0.0
+        for lamp, (pin, gate) in enumerate(self._gates.items()):
             total, at = gate.collect(np.full(1, opens), np.full(1, closes))
             ticks = float(total[0])
             lights.append(np.full(rows, ticks / self._nominal[pin], np.float32))
+            slides += [lamp] if ticks > 0.0 and pin != PIN_LED else []
             weight, moment = weight + ticks, moment + ticks * at
         z = self.cable.z_mm(moment / weight if weight > 0.0 else (opens + closes) / 2)
         rng = self._draws[0].of(int(number))
         dropped = bool(rng.random() < self.faults.frames_dropped)
         late_us = self.offset_us + self.faults.timestamp_jitter_us * float(rng.standard_normal())
         stamp = self.clock.ns(edge + late_us * TICKS_PER_US)
+        projector: NDArray[np.float32] = np.sum(lights[:-1], axis=0, dtype=np.float32)
         return Exposure(
-            number, edge, stamp, z, self.world, lights[0], lights[1], dropped, missed=missed, reads_out=self._reads_out
+            number,
+            edge,
+            stamp,
+            z,
+            self.world,
+            projector,
+            lights[-1],
+            dropped,
+            missed=missed,
+            reads_out=self._reads_out,
+            slides=tuple(slides),
         )
 
 

@@ -1,6 +1,7 @@
 """What really lit each frame and where, against what its header says.
 
-A label is wrong when any row of the picture was lit by anything but that lamp, or not by all of its flash. A place is
+A label is wrong when any row of the picture was lit by anything but that lamp, or not by all of its flash. A slot is
+wrong when another slide lit the picture than the one that it names, or more than one. A place is
 wrong when the edge that was given is not the one whose flash lit the picture, or when z is off by more than PLACE_MM
 and a count: where the header says that z is assumed, by more than the bound it tells besides.
 """
@@ -30,6 +31,7 @@ class LabelVerdict(StrEnum):
     UNKNOWN = "unknown"
     RIGHT = "right"
     WRONG_LAMP = "wrong lamp"
+    WRONG_SLOT = "wrong slot"
     WRONG_PLACE = "wrong place"
 
 
@@ -44,13 +46,17 @@ class _Life:
 class Truth:
     """Fed by the world: restarts as they happen, edges as the host hears of them. Asked for each header's verdict."""
 
-    def __init__(self, period: float, mm_per_count: float, cable: Cable, place_mm: float = PLACE_MM) -> None:
-        """place_mm: by how much z may be off: it is counted at the edge, and the head goes on until the flash."""
+    def __init__(
+        self, period: float, mm_per_count: float, cable: Cable, place_mm: float = PLACE_MM, slides: int = 1
+    ) -> None:
+        """place_mm: by how much z may be off: it is counted at the edge, and the head goes on until the flash.
+        slides: that are lit in turn.
+        """
         self.assumed = 0  # labelled frames whose z was said to be assumed ..
         self.assumed_error_mm = 0.0  # .. by how much it was off, at most ..
         self.beyond_bound = 0  # .. and how many were further off than the bound that was told
         self.error_mm = 0.0  # the same of those whose z was said to be known
-        self._period, self._cable = period, cable
+        self._period, self._cable, self._slides = period, cable, slides
         self._z_error_max_mm = place_mm + mm_per_count
         self._lives: list[_Life] = []
         self._edges: dict[tuple[int, int], int] = {}  # life, index -> world tick
@@ -85,6 +91,10 @@ class Truth:
         parts, lamp = frame.parts, LAMPS[header.label]
         if not all([part.bottom > part.top and _lit_evenly(part, lamp) for part in parts]):
             return LabelVerdict.WRONG_LAMP
+        if lamp is Lamp.PROJECTOR and header.slot is not None:
+            named = (int(header.slot) % self._slides,)
+            if any([part.exposure.slides != named for part in parts]):
+                return LabelVerdict.WRONG_SLOT
         if not any([self._is_of(header, part) for part in parts]):
             return LabelVerdict.WRONG_PLACE
         if header.z_mm is None:

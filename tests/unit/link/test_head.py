@@ -1,5 +1,7 @@
 """A head is brought into service, kept alive, and brought back by itself after resets and faults."""
 
+import pytest
+
 from annulus_pipe.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, PhaseChanged
 from annulus_pipe.link.messages import (
     SCHEMA_HASH,
@@ -15,12 +17,14 @@ from annulus_pipe.link.messages import (
     Ping,
     Polarity,
     Preamble,
+    Slides,
+    SlidesLit,
     Stage,
     StatusCode,
     Wiring,
 )
 from annulus_pipe.link.phase import Phase
-from annulus_pipe.link.pins import pins_of
+from annulus_pipe.link.pins import Pins, pins_of
 from annulus_pipe.link.preamble import preamble_of
 from annulus_pipe.testing.scripted import ScriptedController
 from annulus_pipe.vocabulary import EdgeFlag, Lamp
@@ -431,3 +435,27 @@ def test_a_controller_that_cannot_invert_pins_is_armed_only_where_none_is_invert
     plain = Bench(HeadControl(STAGE), ScriptedController(level=2))
     plain.run(400)
     assert plain.head.phase is Phase.RUNNING and plain.controller.armed
+
+
+def test_slides_lit_in_turn_are_said_before_the_commit_and_read_back() -> None:
+    bench = Bench(HeadControl(STAGE, pins=Pins(slides=4)))
+    bench.run(60)
+    assert bench.head.phase is Phase.RUNNING and bench.controller.slides == 4
+    asked = bench.commands()
+    assert asked.index(Stage) < asked.index(Slides) < asked.index(Commit) < asked.index(SlidesLit) < asked.index(Arm, 3)
+    bench.controller.slides = 1  # it is not what was asked for
+    bench.head.configure(STAGE)
+    bench.controller.reset()
+    bench.run(400)
+    assert bench.head.phase is Phase.RUNNING and bench.controller.slides == 4  # told anew
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_a_controller_without_slides_is_armed_only_where_there_is_one(level: int) -> None:
+    old = Bench(HeadControl(STAGE, pins=Pins(slides=2)), ScriptedController(level=level))
+    old.run(60)
+    assert old.head.phase is Phase.REFUSED and not old.controller.armed
+    assert "older than this annulus and has no" in old.head.problem
+    usual = Bench(HeadControl(STAGE), ScriptedController(level=level))
+    usual.run(60)
+    assert usual.head.phase is Phase.RUNNING and not {Slides, SlidesLit} & set(usual.commands())

@@ -61,8 +61,8 @@ class WingLight(Protocol):
         """Half-angle to the pipe at which light begins, rad."""
 
     @property
-    def in_turn(self) -> bool:
-        """Whether its slides are lit in turn, by the slot of the lamp cycle."""
+    def turns(self) -> int:
+        """Slides that are lit in turn: at slot s of the lamp cycle slide s modulo so many. 1: all, by every flash."""
 
     def lit(self, slot: int | None) -> int:
         """Number of the slide that is lit at a slot."""

@@ -123,6 +123,18 @@ class World:
         """The first stands where it stands, the others beside it."""
         return (HeadCamera(0, self.camera, *self.mounted), *self.others)
 
+    @property
+    def turns(self) -> int:
+        """Slides that are lit in turn; 1: there is one, or all are lit by every flash."""
+        return 1 if isinstance(self.projector, Projector) else self.projector.turns
+
+    def sees(self, camera: int) -> tuple[int, ...]:
+        """Of these, the ones whose light a camera of that number is about; none: all."""
+        light = self.projector
+        if isinstance(light, Projector) or light.turns == 1:
+            return ()
+        return tuple(slide for slide in range(light.turns) if camera in light.looking(slide))
+
     @cached_property
     def _wobble(self) -> NDArray[np.float64]:
         """(4, 2, 2): per degree of freedom two (wavelength mm, phase)."""

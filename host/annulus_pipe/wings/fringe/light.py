@@ -86,8 +86,8 @@ class Fringes:
         return math.radians(min(rings, default=45.0))
 
     @property
-    def in_turn(self) -> bool:
-        return any(one.slots for one in self.slides)
+    def turns(self) -> int:
+        return len(self.slides) if any(one.slots for one in self.slides) else 1
 
     def lit(self, slot: int | None) -> int:
         """Number of the slide that is lit at a slot of the lamp cycle."""
