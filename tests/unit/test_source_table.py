@@ -66,7 +66,7 @@ def test_a_row_is_whole_and_claims_no_more_than_it_shows(row: Entry) -> None:
 
 @pytest.mark.parametrize("row", ROWS, ids=NAMES)
 def test_a_number_is_a_benchmarks_or_printed_by_the_command(row: Entry) -> None:
-    used = {int(n) for n in re.findall(r"\{(\d)\}", row.ours)}
+    used = {int(match[1]) for match in source.QUOTED.finditer(row.ours)}
     assert used == set(range(1, len(row.bench) + 1))
     known = " ".join([*row.prints, row.section, row.what, row.source, row.command, *row.bench])
     own = set(DECIMAL.findall(row.ours)) - set(DECIMAL.findall(known))

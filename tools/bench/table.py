@@ -100,6 +100,7 @@ class Table:
             text += lines
         if self.made_by and not wanted:
             (self.folder / "RESULTS.md").write_text("\n".join([*self._head(before), *text]))
+            _quoted_anew()
         print(f"{missed} rows miss their target" if missed else "every target met")
         return 1 if missed else 0
 
@@ -125,6 +126,14 @@ class Table:
             f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores; load before and at the end "
             f"{load_before:.1f}, {os.getloadavg()[0]:.1f}. Do not edit. Pictures: [pictures/](pictures).",
         ]
+
+
+def _quoted_anew() -> None:
+    """docs/manual/source.md has numbers of these tables."""
+    try:
+        importlib.import_module("tools.source").write()
+    except ValueError as error:
+        print(f"docs/manual/source.md stays as it was: {error}")
 
 
 def section(title: str, rows: Sequence[Row], note: str = "", bases: Sequence[Basis | None] = ()) -> list[str]:

@@ -23,6 +23,7 @@ STATES = ("works", "partly", "not")
 THEORY, PRINTED, PHOTOGRAPHS = "theory", "source's printed data", "others' photographs"
 TRUTHS = {str(one) for one in Truth} | {THEORY, PRINTED, PHOTOGRAPHS}
 MISSED = "**missed**"
+QUOTED = re.compile(r"\{(\d)(?:\.(source))?\}")
 PACKAGE = "host/annulus_pipe"
 
 
@@ -32,6 +33,7 @@ class Measured:
 
     topic: str
     what: str
+    source: str
     number: str
     verdict: str
     truth: str
@@ -61,9 +63,10 @@ class Entry:
 
     @property
     def numbers(self) -> str:
-        """`ours` with what was measured in place of {1}, {2} .."""
+        """`ours` with what was measured in place of {1}, {2} ..; {1.source} is what that row has of the source, printed
+        or its method run there."""
         found = self.measured
-        return re.sub(r"\{(\d)\}", lambda m: found[int(m[1]) - 1].number, self.ours)
+        return QUOTED.sub(lambda m: getattr(found[int(m[1]) - 1], m[2] or "number"), self.ours)
 
     @property
     def whose(self) -> str:
@@ -122,7 +125,7 @@ def _results(name: str) -> list[Measured]:
             head = [cell or "verdict" for cell in cells]
         elif cells:
             row = dict(zip(head, cells, strict=True))
-            out.append(Measured(topic, row["what"], row["this project"], row["verdict"], row["truth"]))
+            out.append(Measured(topic, row["what"], row["source"], row["this project"], row["verdict"], row["truth"]))
     return out
 
 
