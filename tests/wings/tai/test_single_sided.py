@@ -22,6 +22,7 @@ from annulus_pipe.wings.tai.single_sided import (
     load_plate,
     read_plate,
     save_plate,
+    simulate_plate,
     with_noise,
 )
 
@@ -123,6 +124,17 @@ def test_simulate_and_image_from_the_command_line(tmp_path):
     with np.load(tmp_path / "out" / "image.npz") as saved:
         assert saved["delamination"].shape == (len(saved["depth_mm"]), len(saved["x_mm"]))
     assert (tmp_path / "out" / "image.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_cannot_be_simulated_is_refused_before_the_sound_is_made(tmp_path):
+    def never(*_: object) -> None:
+        raise AssertionError("sound was made")
+
+    for sequence, seconds in (("barker", 1.0), ("single", 0.0), ("single", float("nan"))):
+        with pytest.raises(AnnulusError, match=r"sequence 'barker'|s a position"):
+            simulate_plate(PlateSample(), RIG, sequence, seconds, progress=never)
+    done = CliRunner().invoke(app, ["tai", "simulate", "--single-sided", "-o", str(tmp_path / "a.npz")])
+    assert isinstance(done.exception, AnnulusError) and "a.npz" in str(done.exception)
 
 
 @given(seed=st.integers(0, 2**31), sequence=st.sampled_from(SEQUENCES), thickness=st.floats(6, 40))

@@ -106,6 +106,7 @@ def _simulate_plate(
     from annulus_pipe.wings.tai import single_sided
     from annulus_pipe.wings.tai.measure.budget import SingleSidedRig
 
+    single_sided.require_plate_name(out)
     power_kw, standoff_mm, receiver_db = rig
     setup = SingleSidedRig(power_w=1e3 * power_kw, standoff_mm=standoff_mm, receiver_db=receiver_db)
     sample = single_sided.read_plate(plate) if plate else single_sided.EXAMPLE

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus_pipe.extras import need
-from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.numeric.arrays import Chips, FloatArray
 from annulus_pipe.numeric.late import fft
 from annulus_pipe.storage.arrays import require_plain_hdf5
 from annulus_pipe.storage.whole import written_whole
@@ -100,6 +100,7 @@ def simulate_plate(
     progress: Callable[[str, int, int], None] | None = None,
 ) -> PlateRecord:
     """Shots of a plate with the receiver's own noise, `seconds` a position at the shortest period that is allowed."""
+    _checked_time(sequence, seconds)  # before the seconds that the sound takes
     velocity, x_mm = face_velocity(sample, rig, progress=(lambda n, of: progress("sound", n, of)) if progress else None)
     count = POSITIONS
     at = np.asarray((np.arange(count) - (count - 1) / 2) * PITCH_MM, float)
@@ -108,9 +109,7 @@ def simulate_plate(
 
 def with_noise(traces: FloatArray, rig: SingleSidedRig, sequence: str, seconds: float, seed: int) -> PlateRecord:
     """From what one chip sounds like (positions, samples) to the shots of a sequence, each with its share of noise."""
-    if not 1e-4 <= seconds <= 1e6:
-        raise AnnulusError(f"{seconds:g} s a position, expected 0.0001..1000000")
-    bursts = bursts_of(sequence)
+    bursts = _checked_time(sequence, seconds)
     cost = code_cost(sequence, rig)
     averages = max(1, math.floor(seconds / cost.period_s / len(bursts)))
     samples = SAMPLES + math.ceil(max(map(len, bursts)) * rig.pulse_s * RATE_HZ)
@@ -121,6 +120,17 @@ def with_noise(traces: FloatArray, rig: SingleSidedRig, sequence: str, seconds: 
     rms = rig.noise_pa_rthz() * math.sqrt(RATE_HZ / 2 / averages)
     noise = np.random.default_rng(seed).normal(scale=rms, size=clean.shape)
     return PlateRecord((clean + noise).astype(np.float32), sequence, averages, rig, Laminate())
+
+
+def _checked_time(sequence: str, seconds: float) -> tuple[Chips, ...]:
+    if not 1e-4 <= seconds <= 1e6:
+        raise AnnulusError(f"{seconds:g} s a position, expected 0.0001..1000000")
+    return bursts_of(sequence)
+
+
+def require_plate_name(path: Path) -> None:
+    if path.suffix not in (".h5", ".hdf5"):
+        raise AnnulusError(f"{path}: expected a name ending in .hdf5 or .h5")
 
 
 def decoded(record: PlateRecord) -> FloatArray:
@@ -254,8 +264,7 @@ def draw_plate(rows: Any, figure: Any, x_mm: FloatArray, model: PlateModel, answ
 
 def save_plate(path: Path, record: PlateRecord) -> None:
     """HDF5: `shots`, and `about`, a JSON text of what the rig knows of itself. Whole or not at all."""
-    if path.suffix not in (".h5", ".hdf5"):
-        raise AnnulusError(f"{path}: expected a name ending in .hdf5 or .h5")
+    require_plate_name(path)
     about = {
         "format": FORMAT,
         "sequence": record.sequence,
