@@ -222,11 +222,15 @@ def _truths(rows: Sequence[Row]) -> Iterator[TrueDefect]:
     named = [str(one.get("name", "")) for one in rows]
     dug = any(DIG in one for one in rows) or all(REPORTED_AS.fullmatch(one) for one in named)
     names: set[tuple[str, str]] = set()
+    laid_at: dict[tuple[str, str, float, float], str] = {}
     for number, (row, where) in enumerate(_rows(rows, TRUTH_COLUMNS, TRUTH_NEEDED), start=1):
         one = _truth(row, where, str(number))
         if (one.pipe, one.name) in names:
             raise ValueError(f"{where}: {shown(one.name)} is there twice, expected a name for each")
         names.add((one.pipe, one.name))
+        before = laid_at.setdefault((one.pipe, one.kind, one.z_mm, one.clock_deg), one.name)
+        if before != one.name:  # matched one to one, the second of them would be missed however good the head is
+            raise ValueError(f"{where}: {shown(one.name)} lies where {shown(before)} does, expected one row a defect")
         yield replace(one, laid=False) if dug else one
 
 

@@ -45,7 +45,7 @@ def written(folder: Path, text: str, name: str = "truths.csv") -> Path:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(TRUTH, min_size=1, max_size=8, unique_by=lambda one: (one.pipe, one.name)))
+@given(st.lists(TRUTH, min_size=1, max_size=8, unique_by=(lambda one: (one.pipe, one.name), lambda one: one.z_mm)))
 def test_truths_come_back_as_they_were_written(tmp_path_factory: pytest.TempPathFactory, truths: list) -> None:
     found = read_truths(written(tmp_path_factory.mktemp("t"), truths_csv(truths)))
     assert repr(found) == repr(tuple(truths))
@@ -81,6 +81,10 @@ def refused(path: Path, read=read_truths) -> str:  # type: ignore[no-untyped-def
         (f"{HEAD}\na,loss,1,2,nan,4,5\n", "line 2: depth_mm is nan"),
         (f"{HEAD}\na,loss,1,2,3,4\n", "line 2: 6 cells, expected 7"),
         (f"{HEAD}\na,loss,1,2,3,4,5\na,loss,9,2,3,4,5\n", "'a' is there twice"),
+        (
+            f"{HEAD}\na,loss,1,2,3,4,5\nb,loss,1,-358,3,4,5\n",
+            "line 3: 'b' lies where 'a' does, expected one row a defect",
+        ),
         (f"{HEAD},laid\na,loss,1,2,3,4,5,perhaps\n", "laid is 'perhaps', expected yes or no"),
         (f"{HEAD},kind\na,loss,1,2,3,4,5,loss\n", "a column is there twice"),
         ("", "no column kind"),
