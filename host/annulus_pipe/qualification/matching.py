@@ -50,12 +50,20 @@ def match(digs: Sequence[Dig], places: Sequence[SurveyPlace], radius_mm: float, 
 
     Raises AnnulusError where hundreds of places lie within each other's reach.
     """
-    shift, remarks = _named_shift(digs, places, bound_mm)
-    basis = "names"
-    if shift is None:
-        shift, again = _voted_shift(digs, places, radius_mm, bound_mm)
+    named, remarks = _named_shift(digs, places, bound_mm)
+    shift, again = _voted_shift(digs, places, radius_mm, bound_mm)
+    basis = "places" if shift else "none"
+    if named is None:
         remarks += again
-        basis = "places" if shift else "none"
+    else:
+        by_names, by_places = (_agreeing(digs, places, radius_mm, one) for one in (named, shift))
+        if by_places > by_names:  # people number their digs by themselves, and call them D1 too
+            lie = f"by them {by_names} digs lie on a listed place of their kind, without them {by_places}"
+            remarks = [f"names of digs are not followed: {lie}", *again]
+        else:
+            if by_places == by_names and abs(shift - named) > 2 * GATE_MM:
+                remarks.append(f"a shift of {shift:+.0f} mm fits as many digs as {named:+.0f} mm, by names")
+            shift, basis = named, "names"
     paired = _paired(digs, places, radius_mm, shift)
     apart = [places[j].z_mm - digs[i].z_mm for i, j in paired.items() if digs[i].kind is not DugKind.SOUND]
     if basis != "names" and len(apart) > 1 and abs(float(np.median(apart))) <= bound_mm:
@@ -85,6 +93,12 @@ def _paired(digs: Sequence[Dig], places: Sequence[SurveyPlace], radius_mm: float
     return dict(pairs([as_truth(one, shift_mm) for one in digs], reports, radius_mm))
 
 
+def _agreeing(digs: Sequence[Dig], places: Sequence[SurveyPlace], radius_mm: float, shift_mm: float) -> int:
+    """How many digs find a place of their kind."""
+    found = _paired(digs, places, radius_mm, shift_mm).items()
+    return sum(digs[i].kind in (DugKind.ANY, places[j].kind) for i, j in found)
+
+
 def _named_shift(digs: Sequence[Dig], places: Sequence[SurveyPlace], bound_mm: float) -> tuple[float | None, list[str]]:
     named = {one.name: one for one in places}
     apart = [(one, named[one.name].z_mm - one.z_mm) for one in digs if one.name in named]
@@ -100,19 +114,15 @@ def _voted_shift(
 ) -> tuple[float, list[str]]:
     """The shift at which two digs or more, and more than without any, find a place of their kind; else 0."""
 
-    def count(shift: float) -> int:
-        found = _paired(digs, places, radius_mm, shift).items()
-        return sum(digs[i].kind in (DugKind.ANY, places[j].kind) for i, j in found)
-
     apart = _apart(digs, places, bound_mm)
     if not len(apart):
         return 0.0, []
     last = np.searchsorted(apart, apart + 2 * GATE_MM, side="right")
     first = np.argsort(np.arange(len(apart)) - last, kind="stable")[:SHIFTS_TRIED]
     tried = sorted({float(np.median(apart[i : last[i]])) for i in first}, key=abs)
-    counts = [(count(shift), shift) for shift in tried]
+    counts = [(_agreeing(digs, places, radius_mm, shift), shift) for shift in tried]
     most, best = max(counts, key=lambda one: (one[0], -abs(one[1])))
-    if most < 2 or most <= count(0.0):
+    if most < 2 or most <= _agreeing(digs, places, radius_mm, 0.0):
         return 0.0, []
     rival = next((s for votes, s in counts if votes == most and abs(s - best) > 2 * GATE_MM), None)
     return best, [] if rival is None else [f"a shift of {rival:+.0f} mm fits as many digs as {best:+.0f} mm"]

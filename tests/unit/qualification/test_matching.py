@@ -59,6 +59,23 @@ def test_a_name_is_ground_enough() -> None:
     assert (found.shift_mm, found.basis, dict(found.by_dig)) == (200.0, "names", {0: 0})
 
 
+def test_a_digs_own_number_is_no_name_of_the_survey() -> None:
+    """What was dug second is called D2, and lies on the third of the survey's list."""
+    places = [place(900.0, 90.0, "D2", "bump"), place(1000.0, 90.0, "D3"), place(1150.0, 200.0, "D4")]
+    found = match([dig(1000.0, 90.0, "D2"), dig(1150.0, 200.0, "D3")], places, RADIUS_MM, 300.0)
+    assert dict(found.by_dig) == {0: 1, 1: 2} and found.shift_mm == 0.0
+    assert found.remarks == (
+        "names of digs are not followed: by them 0 digs lie on a listed place of their kind, without them 2",
+    )
+
+
+def test_a_name_against_a_place_is_remarked() -> None:
+    places = [place(1000.0, 90.0, "D1"), place(1200.0, 90.0, "D2")]
+    found = match([dig(1000.0, 90.0, "D2")], places, RADIUS_MM, 300.0)
+    assert dict(found.by_dig) == {0: 1}
+    assert found.remarks == ("a shift of +0 mm fits as many digs as +200 mm, by names",)
+
+
 def test_a_name_beyond_the_bound_is_remarked_and_not_followed() -> None:
     found = match([dig(1000.0, 90.0, "D1")], [place(1800.0, 90.0)], RADIUS_MM, 300.0)
     assert not found.by_dig and found.remarks == ("dig D1 lies 800 mm from the survey's D1",)
