@@ -91,6 +91,14 @@ def test_a_clock_that_was_never_set_gives_no_date(tmp_path: Path) -> None:
     assert one(add(tmp_path / "archive", [folder])).row["date"] is None
 
 
+def test_what_may_not_apply_to_a_scan_is_kept_with_what_it_hangs_on(tmp_path: Path) -> None:
+    words = {"text": "diameters keep ± 0.1 %", "standing": "cannot be told", "reasons": ["the day is not known"]}
+    stated = {"accuracy": {**words, "percent": 0.1}, "detection": [{"of": "detection of loss", **words}]}
+    row = one(add(tmp_path / "archive", [results(tmp_path / "a", "P-1", MAY, 5, qualification=stated)])).row
+    assert row["certificate"] == "diameters keep ± 0.1 % (if it is so: the day is not known)"
+    assert row["detection"] == f"detection of loss: {row['certificate']}"
+
+
 @pytest.mark.deep(but=1)
 @pytest.mark.parametrize("name", ["P-9", "P-0@2025", "ffff", "P-0@x", "", "'; DROP TABLE surveys", "\udc80"])
 def test_a_survey_that_there_is_not_is_one_line(tmp_path: Path, name: str) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from annulus_pipe.archive.catalogue.columns import STATIONS, TABLES
 from annulus_pipe.job import JobSheet
 from annulus_pipe.numeric.arrays import FloatArray
+from annulus_pipe.qualification.applicability import Applicability
 from annulus_pipe.storage.results_folder import (
     LATER_COLUMNS,
     MM_MAX,
@@ -43,6 +44,7 @@ CLOCK_SINCE = date(2020, 1, 1)  # a computer without a battery starts in 1970: n
 YEARS = (1900, 2200)  # of a date that somebody typed
 CALIBRATED_MAX = 20_000  # characters
 KINDS_MAX = 20  # limits of a place that a verdict leaves open; kinds of defects that a study has
+REASONS_MAX = 20  # why a certificate does not speak for a scan: one of each thing it is of
 STATED_MAX = 20_000  # characters of what a study states of one kind
 OPEN_MAX = 200  # such places that are kept
 OUTSIDE = frozenset({"survey", "digest", "scan", "replaces", "results", "created_utc", "added_utc"})  # of the contents
@@ -174,7 +176,7 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         "depth_limit_mm": known.get("limits.depth_mm"),
         "size_limit_mm": known.get("limits.size_mm"),
         "ovality_limit_percent": known.get("limits.ovality_percent"),
-        "certificate": _text(accuracy.get("text"), "qualification.accuracy.text"),
+        "certificate": _stated(accuracy, "qualification.accuracy"),
         "accuracy_percent": None
         if accuracy.get("percent") is None
         else within(accuracy["percent"], "qualification.accuracy.percent", 0.0, 1e6),
@@ -196,11 +198,21 @@ def _detection(found: object) -> str | None:
         return None
     if not isinstance(found, list) or len(found) > KINDS_MAX:
         raise ValueError(f"qualification.detection must be a list of at most {KINDS_MAX}")
-    rows = [mapping(one, f"qualification.detection[{i}]") for i, one in enumerate(found)]
-    texts = [
-        [text(one.get(name), f"qualification.detection.{name}", STATED_MAX) for name in ("of", "text")] for one in rows
-    ]
-    return "; ".join(": ".join(one) for one in texts)
+    where = "qualification.detection"
+    rows = [mapping(one, f"{where}[{i}]") for i, one in enumerate(found)]
+    return "; ".join(f"{text(one.get('of'), f'{where}.of', STATED_MAX)}: {_stated(one, where) or ''}" for one in rows)
+
+
+def _stated(found: Mapping[str, Any], what: str) -> str | None:
+    """A quotation, and where nobody could tell whether it applies, what would have to be so."""
+    if found.get("text") is None:
+        return None
+    stated, reasons = text(found["text"], f"{what}.text", STATED_MAX), found.get("reasons") or []
+    if not isinstance(reasons, list) or len(reasons) > REASONS_MAX:
+        raise ValueError(f"{what}.reasons must be a list of at most {REASONS_MAX}")
+    if found.get("standing") != Applicability.OPEN:
+        return stated or None
+    return f"{stated} (if it is so: {'; '.join(text(one, f'{what}.reasons', TEXT_MAX) for one in reasons)})"
 
 
 def _open_places(found: object) -> str | None:
