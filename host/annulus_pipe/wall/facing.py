@@ -61,16 +61,17 @@ def facing(
 
     Parameters
     ----------
-    fore, aft : of straight pipes, each as its head saw it. placed : the backward one's rows on the forward one's wall.
-    calibrations : of both. one_head : both were measured with one calibration, whose share of the errors is the same.
+    fore, aft : of a pipe without bends, each as its head saw it. placed : the backward one's rows on the forward one's
+    wall. calibrations : of both. one_head : both were measured with one calibration, whose share of the errors is the
+    same.
 
     Raises
     ------
-    AnnulusError where one is of a pipe that is not straight.
+    AnnulusError where one has a bend.
     """
     for one in (fore, aft):
-        if not one.centreline.is_straight:
-            raise AnnulusError("two views are joined on a straight pipe, and this one bends or changes: expected one")
+        if any(feature.kind is FeatureKind.BEND for feature in one.features):
+            raise AnnulusError("two views are joined in a pipe without bends, and this one has one")
     z_mm, rows = common_rows(fore.wall, placed)
     clock = fore.wall.clock_deg
     taken = Taken(aft.wall, placed, z_mm, clock)

@@ -16,7 +16,6 @@ from annulus_pipe.wall.shadow import STEP_MM
 from annulus_pipe.wall.shape import harmonics
 
 TOO_FAR = 3.0  # sigma by which two views of one cell may differ; both ways by tests/unit/archive/test_there_and_back.py
-USED = 0.01  # weight from which on a neighbour has a say in what lies between cells: one not seen leaves it not seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,17 +64,19 @@ class Taken:
         self.count = count
 
     def even(self, field: Float32Array | FloatArray) -> Float32Array:
-        """Between four cells; NaN where one of them is that has a say."""
+        """Between those of four cells that are known; NaN where the nearest is not: nothing is seen beyond a cell."""
         low = np.minimum(self.at.astype(np.int64), len(field) - 2)[:, None]
         left = np.floor(self.columns).astype(np.int64)
         along, aside = self.at[:, None] - low, self.columns - left
-        out = np.zeros(left.shape)
+        total, out = np.zeros(left.shape), np.zeros(left.shape)
         for row, of_row in ((low, 1 - along), (low + 1, along)):
             for column, of_column in ((left, 1 - aside), (left + 1, aside)):
-                weight = of_row * of_column
-                out += np.where(weight > USED, weight * field[row, column % self.count], 0.0)
-        out[~self.seen] = np.nan
-        return out.astype(np.float32)
+                value = field[row, column % self.count]
+                weight = np.where(np.isfinite(value), of_row * of_column, 0.0)
+                out += weight * np.where(weight > 0, value, 0.0)
+                total += weight
+        known = self.nearest(np.isfinite(field)) & (total > 0)
+        return np.where(known, out / np.maximum(total, 1e-9), np.nan).astype(np.float32)
 
     def nearest(self, field: NDArray[Any]) -> NDArray[Any]:
         """The nearest cell's; nothing where there are no rows."""

@@ -21,6 +21,7 @@ TABLE = Table(
         "absolute": "An absolute scale: optics that have drifted",
         "colour": "Pipes of other colours",
         "artefacts": "Artefacts, vibration, blind zones",
+        "back": "Heads back to back (§3.5.1.2)",
         "mirror": "Mirror sensor for small pipes (§3.6)",
         "stereo": "Two cameras, 360 degrees (ch. 5)",
         "fringe": "Motion phase shifting (ch. 6)",

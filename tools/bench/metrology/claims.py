@@ -51,6 +51,7 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
         "distorted slide": Basis(TWIN, "own", "set on"),
         "the same, said by": Basis(TWIN, "own", "set on"),
     },
+    "back": {"": Basis(TWIN, "exact", "held out", 3)},
     "mirror": {
         "": Basis(TWIN, "exact", "set on"),
         "the same, rings calibrated": Basis(TWIN, "own", "set on"),
