@@ -24,7 +24,7 @@ ReceiverDb = Annotated[float, typer.Option(help="The receiver's noise over air's
 
 @app.command(
     "simulate",
-    epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5; "
+    epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5 && "
     "annulus tai simulate --single-sided -o plate.hdf5",
 )
 def simulate_command(
