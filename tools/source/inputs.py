@@ -72,7 +72,7 @@ def fisheye(folder: Path) -> None:
 
 
 def joint(folder: Path) -> None:
-    """ct.npy, ct.json; dogbone.npy, dogbone.json; raster.npz; ots.csv, strength.csv; dogbones.csv and pipe-<n>."""
+    """ct.npy, ct.json; dogbone.npy, dogbone.json; raster.npz; ots.csv, strength.csv; dogbones.csv, pipe-<n>; srr."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(4)
     plastic, _, _ = density(JOINT)
@@ -81,6 +81,23 @@ def joint(folder: Path) -> None:
     _raster(folder / "raster.npz", rng)
     _light(folder, rng)
     _pipes(folder, rng)
+    _sweeps(folder / "srr", 2.4e9, 40.0, 0.02, rng)
+    _sweeps(folder / "capacitive", 4.5e6, 25.0, 0.004, rng)
+
+
+def _sweeps(folder: Path, f0_hz: float, quality: float, part: float, rng: np.random.Generator) -> None:
+    """points.csv and a sweep each (Touchstone): a circuit of R, L and C in air, on plain wall and on a bead."""
+    folder.mkdir(exist_ok=True)
+    rows = ["point,file,z_mm"]
+    f = np.linspace(f0_hz * (1 - 3 / quality), f0_hz * (1 + 2.5 / quality), 201)
+    for k, (name, lower) in enumerate((("air", 0.0), ("plain", part), ("bead", 1.1 * part))):
+        own = f0_hz * (1 - lower)
+        impedance = 83.0 + 1j * quality * 133.0 * (f / own - own / f)
+        s11 = (impedance - 50) / (impedance + 50) + rng.normal(0, 0.007, (2, len(f))).T @ (1, 1j)
+        lines = [f"{a / 1e6:.9g} {b.real:.6f} {b.imag:.6f}" for a, b in zip(f, s11, strict=True)]
+        (folder / f"{name}.s1p").write_text("\n".join(["# MHz S RI R 50", *lines]) + "\n", encoding="utf-8")
+        rows.append(f"{name},{name}.s1p,{'' if k == 0 else 10 * k}")
+    (folder / "points.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def _volume(path: Path, plastic: np.ndarray, rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ TABLE = Table(
     {
         "ct": "A joint's CT volume (ch. 9)",
         "greys": "One joint in many scales of grey",
+        "sweeps": "Resonant probes over frequency (ch. 9)",
         "statistics": "What chance makes of strengths (ch. 9)",
     },
     Path(__file__).parent,

@@ -123,6 +123,38 @@ def transmission_command(
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
+@app.command("sweep", epilog="Example: annulus joint sweep srr/points.csv -o srr/result")
+def sweep_command(
+    table: Annotated[
+        Path, typer.Argument(help="CSV: point, file (.s1p, .s2p or CSV, beside it) and, along a dogbone, z_mm.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results; made if need be.")],
+    parameter: Annotated[str, typer.Option(help="Of a Touchstone file: s11, or s21, s12, s22 of two ports.")] = "s11",
+    as_json: Json = False,
+) -> None:
+    """Sweeps of a resonant probe over frequency: each one's resonance with its sigma, and its shift from the first.
+
+    The first line is what the others are held against: air, say. Writes sweeps.json and sweeps.png.
+    """
+    from annulus_pipe.wings.joints.sweeps import compare_sweeps
+
+    content, files = compare_sweeps(table, out, parameter.lower())
+    if as_json:
+        print(files[0].read_text())
+        return
+    for one in content["points"]:
+        if one["f0_hz"] is None:
+            print(f"{one['point']:<16} no resonance stands out")
+            continue
+        words = {None: "", True: ": moved", False: ": not told from none"}[one["moved"]]
+        shift = "" if one["moved"] is None else f"; shift {one['shift_hz']:+.4g} Hz, sigma {one['shift_sigma_hz']:.2g}"
+        print(
+            f"{one['point']:<16} {one['f0_hz']:.7g} Hz, sigma {one['f0_sigma_hz']:.2g}, Q {one['quality']:.1f}"
+            f"{shift}{words}"
+        )
+    print(f"files      {', '.join(str(file) for file in files)}")
+
+
 @app.command("strip", epilog="Example: annulus joint strip dogbones/57AB-45.tif -o dogbones/57AB-45")
 def strip_command(
     ct: Annotated[
