@@ -123,6 +123,17 @@ INLINE void light(const Slide* const slide, const Row* const at, const int64_t c
                   Row* const gradient)
 {
     const Slide own = *slide;
+    for (int64_t i = 0; !own.plain && i < count; i++) {
+        const double x = at->x[i], y = at->y[i], z = at->z[i];
+        const Lit one = own.radius > 0.0 ? mirrored(&own, x, y, z) : lensed(&own, x, y, z);
+        phase[i] = one.phase;
+        gradient->x[i] = one.x;
+        gradient->y[i] = one.y;
+        gradient->z[i] = one.z;
+    }
+    if (!own.plain) {
+        return;
+    }
     if (own.rings) {
         for (int64_t i = 0; i < count; i++) {
             const Lit one = rings(&own, at->x[i], at->y[i], at->z[i]);

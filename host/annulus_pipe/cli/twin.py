@@ -138,8 +138,8 @@ def scan(
         str,
         typer.Option(
             help="demo, clean, mirror-2inch, -3inch, -4inch, stereo, stereo-3inch; fringe, fringe-modules, "
-            "fringe-mirror: heads that project a sinusoid; butt, coupling, branch, bend or water: pipes of several "
-            "pieces, drawn from the seed."
+            "fringe-mirror, fringe-ball: heads that project a sinusoid; butt, coupling, branch, bend or water: pipes "
+            "of several pieces, drawn from the seed."
         ),
     ] = "demo",
     frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,

@@ -28,6 +28,7 @@ def drawn(
     blur_px: float = 0.0,
     head: HeadCamera = LEFT,
     seed: int = 1,
+    slide: FringeProjector = SLIDE,
 ) -> Float32Array:
     """(N, H, W) grey levels, linear. moved_mm : (N,) along x. texture : share by which albedo varies, 6 mm a wave;
     specks : the same without a period."""
@@ -39,7 +40,7 @@ def drawn(
     x = (u - camera.cx) / camera.fx * depth - head.translation_mm[0]
     y = (v - camera.cy) / camera.fy * depth
     X, Y = np.meshgrid(x, y)
-    light = 1 + 0.8 * np.cos(SLIDE.phase(np.stack([X, Y, np.full(X.shape, depth)], axis=-1)))
+    light = 1 + 0.8 * np.cos(slide.phase(np.stack([X, Y, np.full(X.shape, depth)], axis=-1)))
     images = []
     for moved in moved_mm:
         albedo = 1 + texture * np.sin((X + moved) * 1.05) * np.cos(Y * 0.9)

@@ -20,11 +20,13 @@ from annulus_pipe.wings.fringe.measure import (
 HEIGHTS = (-4.0, 0.0, 3.0, 8.0)
 
 
-def plates(heads: tuple[HeadCamera, ...] = (LEFT, RIGHT), told_mm: float = DISTANCE_MM) -> list[ReferencePlate]:
+def plates(
+    heads: tuple[HeadCamera, ...] = (LEFT, RIGHT), told_mm: float = DISTANCE_MM, slide: FringeProjector = SLIDE
+) -> list[ReferencePlate]:
     out = []
     for k, height in enumerate(HEIGHTS):
         for one in heads:
-            light = drawn(np.zeros(1), height, noise=1.0, head=one, seed=10 * k + one.id)[0]
+            light = drawn(np.zeros(1), height, noise=1.0, head=one, seed=10 * k + one.id, slide=slide)[0]
             out.append(ReferencePlate(light, one, told_mm - height, f"frame {k} camera {one.id}"))
     return out
 
@@ -39,6 +41,19 @@ def test_the_slide_is_found_within_its_sigma() -> None:
     np.testing.assert_allclose(off - 2 * np.pi * np.round(off[0] / (2 * np.pi)), 0.0, atol=0.01)
     assert found.modulation == pytest.approx(0.8, abs=0.01)
     assert found.camera_rad < 0.01
+    assert not found.projector.distortion and abs(found.barrel) < 4 * found.barrel_sigma < 0.02
+
+
+def test_a_lens_that_distorts_is_found_within_its_sigma() -> None:
+    """A barrel of 3 % where the light ends, and what it is worth: without it the phase is off by a radian."""
+    edge = 0.75
+    bent = replace(SLIDE, distortion=(-0.03 / edge**2, 0.0, 0.0, 0.0, 0.0))
+    found = calibrate_plate(plates(slide=bent))
+    assert -found.barrel == pytest.approx(0.03 * found.edge**2 / edge**2, abs=4 * found.barrel_sigma + 1e-4)
+    assert found.barrel_sigma < 0.003
+    x = np.array([[x, y, DISTANCE_MM - h] for x in (-20.0, 60.0) for y in (-10.0, 10.0) for h in (-3.0, 0.0, 6.0)])
+    off = found.projector.phase(x) - bent.phase(x)
+    np.testing.assert_allclose(off - 2 * np.pi * np.round(off[0] / (2 * np.pi)), 0.0, atol=0.02)
 
 
 @pytest.mark.deep(gate="tests/wings/fringe/test_calibration.py::test_a_curve_is_undone_and_saturation_is_not_told")

@@ -9,7 +9,7 @@ from bores import LENS, RADIUS_MM, SLIDE, drawn
 from annulus_pipe.numeric.arrays import FloatArray
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure import Eye, FringeProjector, Shots, calibrate_pipe, find_scratches, measure_pipe
-from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX
+from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX, LAW
 
 EYE = Eye(LENS, SLIDE)
 UNEVEN = np.array([0.0, 1.1, 3.3, 4.2, 6.9, 8.0, 10.6, 12.1, 13.0, 15.4])
@@ -52,7 +52,8 @@ def test_a_clean_pipe_calibrates_the_projector() -> None:
     designed = FringeProjector("rings", (0.0, 0.0, -38.5), ((1, 0, 0), (0, 1, 0), (0, 0, 1)), 7.05, 0, 0, RADIUS_MM)
     shots = Shots.single(drawn(shifted, slide=slide, texture=0.0, blur_px=0.3))
     told = calibrate_pipe([LENS], designed, shots, ASIDE, RADIUS_MM)
-    assert len(told.sigma) == 7 + len(told.projector.harmonics) <= 7 + 2 * HARMONICS_MAX
+    assert len(told.sigma) == LAW + len(told.projector.harmonics) <= LAW + 2 * HARMONICS_MAX
+    assert told.projector.distortion == () and abs(told.barrel) < 4 * told.barrel_sigma < 0.04
     off = np.array(told.projector.centre_mm) - SLIDE.centre_mm
     assert (np.abs(off) < 4 * told.sigma[:3] + 0.02).all()
     assert (told.sigma[:3] < 0.2).all()

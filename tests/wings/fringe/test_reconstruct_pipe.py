@@ -19,6 +19,7 @@ from annulus_pipe.wings.fringe.calibrate_pipe import calibrate_fringe_pipe
 from annulus_pipe.wings.fringe.measure import CleanPipeFit, PipeMap, projector_to_dict
 from annulus_pipe.wings.fringe.measure.bore import TERMS
 from annulus_pipe.wings.fringe.measure.placement import PlacedHead
+from annulus_pipe.wings.fringe.measure.projector import LAW
 from annulus_pipe.wings.fringe.pipe import open_fringe_pipe, reconstruct_fringe_pipe
 
 STEP = RADIUS_MM / 200
@@ -107,7 +108,7 @@ def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch:
     """A radius half as large leaves 0.42 of the swing in the ray-traced pipe, the right one 0.02."""
     aside = scan(tmp_path / "aside", "z_mm,tx_mm,ty_mm", ["0,0,0", "0,3,0", "0,0,3"])
     for misfit, wrong in ((8.0, True), (0.5, False)):
-        found = CleanPipeFit(SLIDE, np.ones(7), np.eye(7), np.zeros(6), misfit, 3)
+        found = CleanPipeFit(SLIDE, np.ones(LAW), np.eye(LAW), np.zeros(6), misfit, 3)
         monkeypatch.setattr(calibrate, "calibrate_pipe", lambda *_, found=found: found)
         if wrong:
             with pytest.raises(AnnulusError, match="do not show this slide in a pipe of 60 mm radius"):

@@ -16,7 +16,7 @@ from annulus_pipe.twin.render import Renderer
 from annulus_pipe.twin.scan import write_scan
 from annulus_pipe.twin.worlds import World
 from annulus_pipe.vocabulary import Label
-from annulus_pipe.wings.fringe.heads import mirror_fringe_world, modules_world, series_world
+from annulus_pipe.wings.fringe.heads import ball_fringe_world, mirror_fringe_world, modules_world, series_world
 from annulus_pipe.wings.fringe.light import Fringes
 from annulus_pipe.wings.fringe.measure import FringeHead
 
@@ -45,6 +45,23 @@ def seen_places(world: World, number: int, z_mm: float) -> FloatArray:
         rays @ pose.rotation, np.zeros(3), np.array([0.0, 0.0, 1.0]), world.radius_mm, np.tile(start, (len(rays), 1))
     )
     return np.asarray(pose.to_camera(wall)).reshape(*u.shape, 3)
+
+
+def test_a_camera_sees_the_phase_of_a_slide_over_a_ball() -> None:
+    """Twin and measurement solve for the ray each in its own way, and agree."""
+    world, z_mm = clean(lambda: ball_fringe_world().scaled(320)), 11.0
+    light = light_of(world)
+    plain = replace(world, projector=replace(light, modulation=0.0))
+    bright, dc = (
+        Renderer(one).render(world.pose(z_mm), z_mm, 1.0)[::2, 1::2].astype(float) - 2.0 for one in (world, plain)
+    )
+    phase = light.slides[0].slide.phase(seen_places(world, 0, z_mm))[::2, 1::2]
+    inside = (cv2.erode((dc > 40).astype(np.uint8), np.ones((9, 9))) > 0) & np.isfinite(phase)
+    swing = bright / np.maximum(dc, 1.0) * (1 + light.modulation) - 1
+    observed = (swing * np.exp(-1j * phase))[inside].mean()
+    assert inside.mean() > 0.2 and np.ptp(phase[inside]) > 50  # rad
+    assert abs(np.angle(observed)) < 0.1
+    assert np.corrcoef(swing[inside], np.cos(phase[inside]))[0, 1] > 0.9
 
 
 @pytest.mark.deep(gate="tests/wings/fringe/test_worlds.py::test_a_scan_of_slides_in_turn_says_the_slot")

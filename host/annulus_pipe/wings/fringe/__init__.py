@@ -41,9 +41,14 @@ def measured(job: "FringeJob | FringePipeJob", *place: Any, **how: Any) -> "Wing
 
 
 def worlds() -> "Mapping[str, Callable[[int], World]]":
-    from annulus_pipe.wings.fringe.heads import mirror_fringe_world, modules_world, series_world
+    from annulus_pipe.wings.fringe.heads import ball_fringe_world, mirror_fringe_world, modules_world, series_world
 
-    return {"fringe": series_world, "fringe-modules": modules_world, "fringe-mirror": mirror_fringe_world}
+    return {
+        "fringe": series_world,
+        "fringe-modules": modules_world,
+        "fringe-mirror": mirror_fringe_world,
+        "fringe-ball": ball_fringe_world,
+    }
 
 
 def lights() -> Mapping[str, type]:

@@ -26,11 +26,12 @@ from annulus_pipe.wings.fringe.measure import (
     light_of,
     projector_to_dict,
 )
-from annulus_pipe.wings.fringe.measure.projector import FringeProjector
+from annulus_pipe.wings.fringe.measure.projector import AXIAL, BENDS, LAW, FringeProjector
 
 Progress = Callable[[str, int, int], None]
 
 FRAMES_MAX = 32  # held at once, 5 MB a frame of a Mpixel
+BARREL_KNOWN = 0.005  # as on a plate
 MISFIT_MAX = 0.25  # of half the brightest light, the fringes' swing; test_fringe_pipe
 BRIGHTEST = 97.0  # percentile
 
@@ -54,8 +55,13 @@ class FringePipeCalibration:
                 "tilt_deg": [math.degrees(one) for one in sigma[3:5]],
                 "phase0": float(sigma[5]),
                 "period_mm": float(sigma[6]) * slide.period,
-                "harmonics": [float(one) for one in sigma[7:]],
+                "harmonics": [float(one) for one in sigma[LAW:]],
+                **({"distortion": [float(one) for one in sigma[AXIAL : AXIAL + BENDS]]} if slide.distortion else {}),
+                **({"mirror_mm": [float(one) for one in sigma[AXIAL + BENDS : LAW]]} if slide.mirror_mm else {}),
             },
+            "barrel": self.found.barrel,
+            "barrel_sigma": self.found.barrel_sigma,
+            "edge": self.found.edge,
             "covariance": self.found.covariance.tolist(),
             "transfer": self.curve.to_dict(),
             "radius_mm": self.head.radius_mm,
@@ -68,7 +74,14 @@ class FringePipeCalibration:
     def warnings(self) -> list[str]:
         """What to look at, a sentence each."""
         text = "tx_mm, ty_mm are where the pipe was before the head, the other way round: taken so"
-        return [text] if self.found.reversed else []
+        found = self.found
+        out = [text] if found.reversed else []
+        if found.barrel_sigma > BARREL_KNOWN and not found.projector.mirror_mm:
+            out.append(
+                f"the slide's lens cannot be determined: where the light ends it may distort by "
+                f"{200 * found.barrel_sigma:.1f} % (k = 2). Places farther aside tell, or more light in view"
+            )
+        return out
 
 
 def calibrate_fringe_pipe(

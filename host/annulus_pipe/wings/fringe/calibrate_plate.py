@@ -23,6 +23,7 @@ from annulus_pipe.wings.fringe.measure import (
     ReferencePlate,
     Transfer,
     calibrate_plate,
+    lens_names,
     light_of,
     plate_names,
     projector_to_dict,
@@ -33,6 +34,7 @@ Progress = Callable[[str, int, int], None]
 FRAMES_MAX = 32  # spread over the scan; each says all it knows with 150 tiles
 GAMMA_SIGMAS, GAMMA_OFF = 4.0, 0.02  # beyond which a gamma is taken out
 SAME_RAD = 0.05  # by which cameras may differ on one plate
+BARREL_KNOWN = 0.005  # sigma of the distortion at the edge of the light: a barrel of 3 % would stand out six times
 SATURATED_MAX = 0.05  # share of the tiles' light
 
 
@@ -52,7 +54,9 @@ class FringeCalibration:
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; mm, degrees and rad."""
         found = self.found
-        sigma = dict(zip(plate_names, (float(one) for one in found.sigma), strict=True))
+        names = (*plate_names, *lens_names)[: len(found.sigma)]
+        sigma = dict(zip(names, (float(one) for one in found.sigma), strict=True))
+        lens = {name: sigma[name] for name in lens_names if name in sigma}
         return {
             "projector": projector_to_dict(found.projector),
             "k_rad": float(found.values[4]),
@@ -65,7 +69,11 @@ class FringeCalibration:
                 "turn_deg": math.degrees(sigma["turn"]),
                 "phase0": sigma["phase0"],
                 "harmonics": list(found.harmonics_sigma),
+                **lens,
             },
+            "barrel": found.barrel,
+            "barrel_sigma": found.barrel_sigma,
+            "edge": found.edge,
             "modulation": found.modulation,
             "gamma": found.gamma,
             "gamma_sigma": found.gamma_sigma,
@@ -185,5 +193,10 @@ def _warnings(found: PlateCalibration, distance_mm: float) -> list[str]:
         out.append(
             f"the cameras see phases {found.camera_rad:.3f} rad apart on one plate: it does not stand at "
             f"{distance_mm:g} mm, or the cameras do not stand as told"
+        )
+    if found.barrel_sigma > BARREL_KNOWN:
+        out.append(
+            f"the slide's lens cannot be determined: where the light ends it may distort by "
+            f"{200 * found.barrel_sigma:.1f} % (k = 2). Cameras that see more of the light, or more heights, tell"
         )
     return out

@@ -108,6 +108,7 @@ def _show_plate(result: "FringeCalibration", figures: Mapping[str, Any], out: Pa
         f"stripes    turned {slide['turn_deg']:.4f} +- {sigma['turn_deg']:.4f} deg, axis known to "
         f"{max(sigma['tilt_deg']):.5f} deg, phase {slide['phase0']:.4f} +- {sigma['phase0']:.4f} rad"
     )
+    print(f"lens       {_lens(figures)}")
     curve = figures["transfer"]
     source = "as the file says" if result.curve_stated else "the file says none"
     print(
@@ -131,12 +132,24 @@ def _show_pipe(result: "FringePipeCalibration", figures: Mapping[str, Any], out:
     print(f"light      from {place} mm (right, down, ahead); its axis known to {max(sigma['tilt_deg']):.4f} deg")
     print(f"period     {projector['period_mm']:.4f} +- {sigma['period_mm']:.4f} mm on that wall")
     print(f"phase      {projector['phase0']:.4f} +- {sigma['phase0']:.4f} rad")
+    print(f"lens       {_lens(figures)}")
+    if "mirror" in projector:
+        ball = [*projector["mirror"]["centre_mm"], projector["mirror"]["radius_mm"]]
+        pairs = ", ".join(f"{at:.3f} +- {s:.3f}" for at, s in zip(ball, sigma["mirror_mm"], strict=True))
+        print(f"mirror     {pairs} mm (its centre from the slide, its radius)")
     shown = _harmonics(projector, sigma)
     source = "as the file says" if result.curve_stated else "the file says none"
     print(f"harmonics  {shown}, taken out; curve {figures['transfer']['sensor']} ({source})")
     for warning in figures["warnings"]:
         print(f"warning    {warning}")
     print(f"written    {out}")
+
+
+def _lens(figures: Mapping[str, Any]) -> str:
+    """What the slide's lens does to the tangent at the edge of the light."""
+    amount = f"{100 * figures['barrel']:+.2f} +- {100 * figures['barrel_sigma']:.2f} %"
+    what = "distorts by" if "distortion" in figures["projector"] else "none that stands out:"
+    return f"{what} {amount} where the light ends (tangent {figures['edge']:.2f}); a barrel is negative"
 
 
 def _harmonics(slide: Mapping[str, Any], sigma: Mapping[str, Any]) -> str:

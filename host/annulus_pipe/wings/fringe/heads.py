@@ -3,6 +3,7 @@ about the pipe with a slide each, and cameras about the pipe under one slide tha
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +22,9 @@ _MODULES = 4  # of Model B, and cameras of Model C
 _SIDE = Camera("fisheye", 640, 480, 280.0, 280.0, 319.5, 239.5, (-0.01, 0.003, -0.0006, 0.0))
 _BASELINE_MM = 40.0  # of a pair, along the pipe
 _MIRRORED_MM = 95.0  # ahead of the cameras, where the mirror shows the light of Model C
+_PROJECTS_FROM_MM = 20.0  # ahead of the cameras, and ..
+_BALL_MM = 15.0  # .. the radius of the ball that it looks at
+_NARROW_MM = 66.0  # period of its slide's rings: the ball makes 8 mm of it on the wall
 _QUIET = CameraOptics(blur_px=0.9, read=0.8, shot=0.01)
 
 
@@ -79,6 +83,19 @@ def mirror_fringe_world(seed: int = 5, radius_mm: float = 76.2, travel_mm: float
     slide = FringeProjector("rings", (0.5, 0.3, _MIRRORED_MM), back, _PERIOD_MM, 0.2, nominal_radius_mm=radius_mm)
     light = Fringes((Fringe(slide, (29.0, 56.0)),), radius_mm / math.sin(math.radians(50.0)) ** 1.5, peak=150.0)
     return _around(cameras, light, radius_mm, travel_mm, seed)
+
+
+def ball_fringe_world(seed: int = 6, radius_mm: float = 76.2, travel_mm: float = 40.0) -> World:
+    """Model C as the source draws it (Figure 6.15 b): a narrow projector among the cameras looks ahead, and a ball
+    sends its light back at the wall. Its rays have no one centre."""
+    flat = mirror_fringe_world(seed, radius_mm, travel_mm)
+    assert isinstance(flat.projector, Fringes)
+    ball = (0.2, -0.3, _MIRRORED_MM + _BALL_MM - _PROJECTS_FROM_MM, _BALL_MM)
+    slide = FringeProjector(
+        "rings", (0.4, 0.3, _PROJECTS_FROM_MM), STILL, _NARROW_MM, 0.2, nominal_radius_mm=radius_mm, mirror_mm=ball
+    )
+    light = Fringes((Fringe(slide, (1.6, 6.5)),), flat.projector.reach_mm, peak=flat.projector.peak)
+    return replace(flat, projector=light)
 
 
 def _around(cameras: list[HeadCamera], light: Fringes, radius_mm: float, travel_mm: float, seed: int) -> World:

@@ -38,9 +38,16 @@ class FringeSlide:
         self._slide = slide
         rotation = np.array(slide.rotation)
         self.axis = np.concatenate([np.array(slide.centre_mm), rotation[2]])
+        if slide.mirror_mm:  # bright and shaded as from the ball's own image of the slide; in phase, each ray by itself
+            middle, radius = np.array(slide.mirror_mm[:3]), slide.mirror_mm[3]
+            away = float(np.linalg.norm(middle))
+            image = (away - radius) * (1 + radius / (2 * away - radius)) / away * middle
+            self.axis = np.concatenate([self.axis[:3] + image @ rotation, -middle @ rotation / away])
         wide = [math.radians(angle) for angle in fringe.field_deg]
         rings = slide.kind == "rings"
         self.rims = (wide[0], wide[1]) if rings else (0.0, math.atan(math.hypot(*(math.tan(w) for w in wide))))
+        if slide.mirror_mm:
+            self.rims = (0.0, math.pi / 2)
         self.brightest = 1.0 / light.reach_mm**2
         self._rotation = rotation
         numbers = [*np.tan(wide), light.modulation, *light.colour, *slide.numbers]

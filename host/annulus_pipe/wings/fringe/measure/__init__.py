@@ -13,6 +13,7 @@ In a pipe (§6.8.2, Model A): `measure_pipe` makes a map of the radius, its head
 to draw the rings.
 """
 
+from annulus_pipe.wings.fringe.measure.calibration import LENS as lens_names
 from annulus_pipe.wings.fringe.measure.calibration import NAMES as plate_names
 from annulus_pipe.wings.fringe.measure.calibration import PlateCalibration, ReferencePlate, calibrate_plate
 from annulus_pipe.wings.fringe.measure.clean import CleanPipeFit, calibrate_pipe
@@ -56,6 +57,7 @@ __all__ = [
     "find_steps",
     "heights",
     "lamps_to_list",
+    "lens_names",
     "light_of",
     "measure_pipe",
     "merged",

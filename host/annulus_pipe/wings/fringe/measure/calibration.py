@@ -12,6 +12,10 @@ Seven numbers are all there is to know of stripes in space: the light's place al
     tilt_x, tilt_y        how its axis is turned about x and y, rad
     rate                  K = 2 pi / period: phase per unit of the tangent (the source's theta = K s / z)
     turn                  of the stripes, rad, from x towards y;  phase0
+A lens that distorts (§6.6, barrel) bends the stripes, and bends say where its axis is along them: five numbers more.
+    along_mm              its place along the stripes
+    k1 k2 p1 p2           as a camera's
+They are sought where seven leave the frames unexplained, and once more in the end; they stay where they stand out.
 """
 
 import heapq
@@ -31,6 +35,9 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.projector import HARMONICS_MAX, FringeProjector
 
 NAMES = ("across_mm", "depth_mm", "tilt_x", "tilt_y", "rate", "turn", "phase0")
+LENS = ("along_mm", "k1", "k2", "p1", "p2")
+LENS_SIGMA = np.array([20.0, 0.3, 0.3, 0.02, 0.02])  # what is believed of a lens: wide angle, glued by hand
+SCALE = np.array([1, 10, 0.01, 0.01, 1, 0.01, 1, 10, 0.1, 0.1, 0.01, 0.01])  # of the numbers' steps
 HEIGHTS_MIN = 2
 PERIOD_MIN_PX = 5.0  # a finer wave has no harmonics left
 CYCLES_MIN = 5.0  # across the image: a coarser wave has no carrier
@@ -46,7 +53,10 @@ ORDERS_TRIED = 12  # the likeliest, of one camera ..
 ORDERS_JOINED = 4  # .. and of all cameras together
 BEATEN = 4.0  # times the misfit: the next best orders must be worse by that
 STILL_RAD = 0.3  # of the best orders' misfit: more is another wall than the one told
-SIGNIFICANT = 4.0  # sigma below which a harmonic is none
+SIGNIFICANT = 4.0  # sigma below which a harmonic is none, and a lens
+HELD_RAD = 0.03  # what LENS_SIGMA is weighed by: a tile's usual scatter
+EDGE_PERCENT = 99.0  # of the lit tiles lie within what is called the edge of the light
+BENT_RAD = 0.01  # of what a lens does to the phase, rms: less is the camera's own lens, not quite known
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +72,9 @@ class ReferencePlate:
 
 @dataclass(frozen=True, slots=True)
 class PlateCalibration:
-    """What the frames say. covariance : (7, 7) of NAMES. harmonics_sigma : as the projector's harmonics. gamma: the
+    """What the frames say. values, covariance : of NAMES, and of LENS where that stands out. barrel, barrel_sigma : how
+    much the lens takes of the tangent at the edge of the light, of 1, negative for a barrel; found or not, as far as
+    these frames say. edge : the tangent there. harmonics_sigma : as the projector's harmonics. gamma: the
     exponent on the camera's light that would explain the even harmonic, and its sigma. rms_rad : of tiles about the
     projector's phase; camera_rad : by how much that differs from camera to camera, the mean over each."""
 
@@ -77,10 +89,13 @@ class PlateCalibration:
     camera_rad: float
     tiles: int
     lit: FloatArray  # (F,) share of each frame's tiles that were used
+    barrel: float
+    barrel_sigma: float
+    edge: float
 
     @property
     def sigma(self) -> FloatArray:
-        """(7,) of NAMES."""
+        """As `values`."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -110,7 +125,10 @@ def calibrate_plate(
     for done, one in enumerate(plates):
         rough.append(_rough(one, first))
         report(done + 1, total)
-    values = _ordered(plates, rough, first)
+    try:
+        values = _ordered(plates, rough, first)
+    except AnnulusError:
+        values = _ordered(plates, rough, first, bent=True)
     harmonics = np.zeros(2 * (HARMONICS_MAX - 1))
     fine: list[_Tiles] = []
     for turn in range(ROUNDS):
@@ -120,7 +138,10 @@ def calibrate_plate(
             told_by.append(_tiles(one, slide))
             report(len(plates) * (1 + turn) + done + 1, total)
         fine = [tiles for tiles, _ in told_by]
-        values, covariance, left = _fit(plates, fine, values)
+        values, covariance, left = _fit(plates, fine, values[: len(NAMES)])
+        bent = _fit(plates, fine, np.concatenate([values, np.zeros(len(LENS))]))
+        if _stands_out(left, bent):
+            values, covariance, left = bent
         waves = np.concatenate([wave for _, wave in told_by])
         harmonics, spread = _waveform(waves)
     kept, kept_sigma = _significant(harmonics, spread)
@@ -131,6 +152,7 @@ def calibrate_plate(
         if plates[i].z_mm == plates[j].z_mm and plates[i].head.id != plates[j].head.id
     ]
     every = np.concatenate(left)
+    barrel, barrel_sigma, edge = _barrel(plates, fine, bent)
     values[6] = math.remainder(values[6], 2 * math.pi)
     return PlateCalibration(
         _projector(values, kept),
@@ -144,20 +166,25 @@ def calibrate_plate(
         max(apart, default=0.0),
         len(every),
         np.array([len(one.u) for one in fine]),
+        barrel,
+        barrel_sigma,
+        edge,
     )
 
 
 def _projector(values: FloatArray, harmonics: FloatArray | tuple[float, ...] = ()) -> FringeProjector:
-    across, depth, tilt_x, tilt_y, rate, turn, phase0 = (float(one) for one in values)
+    across, depth, tilt_x, tilt_y, rate, turn, phase0 = (float(one) for one in values[:7])
+    along, *lens = (float(one) for one in values[7:]) if len(values) > len(NAMES) else (0.0,)
     rotation = cv2.Rodrigues(np.array([tilt_x, tilt_y, 0.0]))[0]
     return FringeProjector(
         "stripes",
-        (across * math.cos(turn), across * math.sin(turn), depth),
+        (across * math.cos(turn) - along * math.sin(turn), across * math.sin(turn) + along * math.cos(turn), depth),
         tuple((float(a), float(b), float(c)) for a, b, c in rotation),
         2 * math.pi / rate,
         phase0,
         math.degrees(turn),
         harmonics=tuple(float(one) for one in harmonics),
+        distortion=tuple(lens),
     )
 
 
@@ -227,31 +254,37 @@ def _points(plate: ReferencePlate, u: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(eye + rays * ((plate.z_mm - eye[2]) / rays[:, 2])[:, None])
 
 
-def _ordered(plates: Sequence[ReferencePlate], rough: list[_Tiles], carrier: FloatArray) -> FloatArray:
-    """(7,) NAMES, to a rough phase's accuracy: the projector whose orders explain every frame."""
+def _ordered(
+    plates: Sequence[ReferencePlate], rough: list[_Tiles], carrier: FloatArray, bent: bool = False
+) -> FloatArray:
+    """NAMES, with LENS where `bent`, to a rough phase's accuracy: the projector whose orders explain every frame."""
     own = plates[0].head.id
     alone = [i for i, one in enumerate(plates) if one.head.id == own]
     points = [_points(one, tiles.u, tiles.v) for one, tiles in zip(plates, rough, strict=True)]
     lens = plates[0].head.camera
     gradient = 2 * np.pi * carrier * [lens.fx, lens.fy]
     start = np.array([0.0, 0.0, 0.0, 0.0, np.hypot(*gradient), math.atan2(gradient[1], gradient[0]), 0.0])
+    start = np.concatenate([start, np.zeros(len(LENS))]) if bent else start
+    scale = SCALE[: len(start)]
 
     def off(values: FloatArray, which: Sequence[int]) -> list[FloatArray]:
         slide = _projector(values)
         return [rough[i].phase - slide.phase(points[i]) for i in which]
 
     def shape(values: FloatArray) -> FloatArray:  # whatever the orders; its place across is not in it
-        held = [50 * values[2:4], [0.02 * values[1]]]
+        held = [50 * values[2:4], [0.02 * values[1]], values[7:] / LENS_SIGMA[: len(values) - 7]]
         return np.concatenate([one - np.mean(one) for one in off(np.array([0.0, *values[1:]]), alone)] + held)
 
-    shaped = optimize.least_squares(shape, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1]).x
+    shaped = optimize.least_squares(shape, start, loss="soft_l1", x_scale=scale).x
     best: dict[tuple[int, ...], tuple[float, FloatArray]] = {}
     for across in np.arange(-ACROSS_MAX_MM, ACROSS_MAX_MM, ACROSS_STEP_MM):
-        means = np.array([float(np.mean(one)) for one in off(np.array([across, *shaped[1:6], 0.0]), alone)])
+        means = np.array(
+            [float(np.mean(one)) for one in off(np.array([across, *shaped[1:6], 0.0, *shaped[7:]]), alone)]
+        )
         steps = (means - means[0]) / (2 * np.pi)
         orders, apart = tuple(int(one) for one in np.round(steps)), float(np.std(steps - np.round(steps)))
         if orders not in best or apart < best[orders][0]:
-            best[orders] = apart, np.array([across, *shaped[1:6], means[0]])
+            best[orders] = apart, np.array([across, *shaped[1:6], means[0], *shaped[7:]])
     likely = sorted(best.items(), key=lambda one: one[1][0])[:ORDERS_TRIED]
     ranked = sorted((_explained(off, alone, orders, start) for orders, (_, start) in likely), key=lambda one: one[0])
     every = range(len(plates))
@@ -289,14 +322,15 @@ def _explained(
     orders: Sequence[int],
     start: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """The rms misfit, rad, and (7,) NAMES with these orders."""
+    """The rms misfit, rad, and the numbers of `start` with these orders."""
 
     def rest(values: FloatArray) -> FloatArray:
         frames = zip(off(values, which), orders, strict=True)
-        return np.concatenate([one[::7] - 2 * np.pi * k for one, k in frames] + [5 * values[2:4]])
+        held = np.concatenate([5 * values[2:4], values[7:] / LENS_SIGMA[: len(values) - 7]])
+        return np.concatenate([one[::7] - 2 * np.pi * k for one, k in frames] + [held])
 
-    found = optimize.least_squares(rest, start, loss="soft_l1", x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], max_nfev=40)
-    return float(np.sqrt(np.mean(rest(found.x)[:-2] ** 2))), found.x
+    found = optimize.least_squares(rest, start, loss="soft_l1", x_scale=SCALE[: len(start)], max_nfev=40)
+    return float(np.sqrt(np.mean(rest(found.x)[: 5 - len(start)] ** 2))), found.x
 
 
 def _tiles(plate: ReferencePlate, slide: FringeProjector) -> tuple[_Tiles, FloatArray]:
@@ -352,7 +386,8 @@ def _tiles(plate: ReferencePlate, slide: FringeProjector) -> tuple[_Tiles, Float
 def _fit(
     plates: Sequence[ReferencePlate], tiles: list[_Tiles], start: FloatArray
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """(7,) NAMES, their covariance as the tiles' scatter says, and what is left of each frame's tiles, rad."""
+    """The numbers of `start`, their covariance as the tiles' scatter says, and what is left of each frame's tiles,
+    rad."""
     points = [_points(one, part.u, part.v) for one, part in zip(plates, tiles, strict=True)]
     every, phase = np.concatenate(points), np.concatenate([one.phase for one in tiles])
     weight = np.ones(len(phase))
@@ -360,19 +395,41 @@ def _fit(
     def rest(values: FloatArray) -> FloatArray:
         off = phase - _projector(values).phase(every)
         off -= 2 * np.pi * np.round(np.median(off) / (2 * np.pi))  # phase0 is written within one turn
-        return np.asarray(np.sqrt(weight) * off)
+        held = values[7:] / LENS_SIGMA[: len(values) - 7] * HELD_RAD
+        return np.concatenate([np.sqrt(weight) * off, held])
 
     values, jacobian = start, np.empty((0, 0))
     for _ in range(ROUNDS):
-        found = optimize.least_squares(rest, values, x_scale=[1, 10, 0.01, 0.01, 1, 0.01, 1], xtol=1e-14, ftol=1e-14)
+        found = optimize.least_squares(rest, values, x_scale=SCALE[: len(start)], xtol=1e-14, ftol=1e-14)
         values, jacobian = found.x, found.jac
-        off = rest(values) / np.sqrt(weight)
+        off = rest(values)[: len(phase)] / np.sqrt(weight)
         weight = cauchy(off / max(CAUCHY * robust_sigma(off), 1e-9))
-    off = rest(values) / np.sqrt(weight)
-    scatter = float((weight * off**2).sum() / (weight.sum() - len(NAMES)))
+    off = rest(values)[: len(phase)] / np.sqrt(weight)
+    scatter = float((weight * off**2).sum() / (weight.sum() - len(start)))
     ends: IntArray = np.cumsum([len(one.u) for one in tiles])
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * scatter
     return values, np.asarray(covariance, dtype=np.float64), np.split(off, ends[:-1])
+
+
+_Fit = tuple[FloatArray, FloatArray, list[FloatArray]]  # as `_fit` gives it
+
+
+def _stands_out(straight: list[FloatArray], bent: _Fit) -> bool:
+    """Whether the frames show a lens: they are explained better with it, and by more than its noise."""
+    values, covariance, left = bent
+    lens, own = values[8:], covariance[8:, 8:]
+    gain = robust_sigma(np.concatenate(straight)) ** 2 - robust_sigma(np.concatenate(left)) ** 2
+    return gain > BENT_RAD**2 and float(lens @ np.linalg.solve(own, lens)) > SIGNIFICANT**2 * len(lens)
+
+
+def _barrel(plates: Sequence[ReferencePlate], tiles: list[_Tiles], bent: _Fit) -> tuple[float, float, float]:
+    """What the lens takes of the tangent at the edge of the light, its sigma, and the tangent there."""
+    slide = _projector(bent[0])
+    points = np.concatenate([_points(one, part.u, part.v) for one, part in zip(plates, tiles, strict=True)])
+    own = (points - np.array(slide.centre_mm)) @ np.array(slide.rotation).T
+    edge = float(np.percentile(np.hypot(own[:, 0], own[:, 1]) / own[:, 2], EDGE_PERCENT))
+    way = np.array([edge**2, edge**4])
+    return float(way @ bent[0][8:10]), float(np.sqrt(way @ bent[1][8:10, 8:10] @ way)), edge
 
 
 def _waveform(waves: FloatArray) -> tuple[FloatArray, FloatArray]:

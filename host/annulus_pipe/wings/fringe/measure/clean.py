@@ -25,18 +25,16 @@ from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.heights import Points
 from annulus_pipe.wings.fringe.measure.pipe import lit_wall
 from annulus_pipe.wings.fringe.measure.placement import (
-    LAW,
     Eye,
     Freedom,
     PlacedHead,
     PointLooks,
     Shots,
-    changed,
     refined,
     shaded,
     shading_terms,
 )
-from annulus_pipe.wings.fringe.measure.projector import FringeProjector
+from annulus_pipe.wings.fringe.measure.projector import AXIAL, BENDS, LAW, FringeProjector, changed, reflected
 
 CELLS = (30, 60)  # along and round: what is sampled of the wall
 SEARCH_RAD = 0.02  # tilts tried first, either way ..
@@ -50,6 +48,10 @@ TILT_SIGMA = 0.05  # .. of its direction, rad, ..
 PERIOD_SIGMA = 0.05  # .. and of the logarithm of its period
 OFFSET_SIGMA_MM = 5.0  # what is believed of how the head lies in the pipe: aside ..
 LEAN_SIGMA = 0.05  # .. and leaning, rad
+LENS_SIGMA = np.array([0.3, 0.3, 0.02, 0.02])  # of k1 k2 p1 p2: as on a plate
+MIRROR_SIGMA_MM = [2.0, 2.0, 2.0, 1.0]  # of its centre and radius: glued by hand, ground to a tenth
+SIGNIFICANT = 5.0  # sigma below which there is no lens, ..
+BENT_OF_MISFIT = 0.1  # .. and this share of the misfit, which it must explain
 HARMONICS = 2  # pairs sought: blur leaves no more of a slide
 COHERENT = 0.15  # of all light adding up, over what a slide of full modulation has: below it is another slide
 
@@ -57,8 +59,10 @@ COHERENT = 0.15  # of all light adding up, over what a slide of full modulation 
 @dataclass(frozen=True, slots=True)
 class CleanPipeFit:
     """What a clean pipe says. projector, and sigma of its centre_mm (3), direction (2, rad about its x and y), phase0
-    (rad), logarithm of the period, harmonics, in this order; covariance of the same. pose : (6,) how the head lay.
-    misfit : grey levels. reversed : the places were told the other way round, as those of the pipe before the head."""
+    (rad), logarithm of the period, k1 k2 p1 p2 of the lens, the mirror's centre (3) and radius, harmonics, in this
+    order; 0 of what was not sought; covariance of the same. pose : (6,) how the head lay. misfit : grey levels.
+    reversed : the places were told the other way round, as those of the pipe before the head. barrel, barrel_sigma,
+    edge : of the lens, as in `PlateCalibration`."""
 
     projector: FringeProjector
     sigma: FloatArray
@@ -67,6 +71,9 @@ class CleanPipeFit:
     misfit: float
     frames: int
     reversed: bool = False
+    barrel: float = 0.0
+    barrel_sigma: float = math.inf
+    edge: float = math.nan
 
 
 def calibrate_pipe(
@@ -108,35 +115,72 @@ def calibrate_pipe(
             "another slide, or a projector far from its design"
         )
     head = head.under(slide)
-    count = LAW + 2 * HARMONICS
+    straight, mirror = [0.0] * BENDS, MIRROR_SIGMA_MM if slide.mirror_mm else [0.0] * 4
     freedom = Freedom(
         head.poses,
         np.tile([0.0, 0.0, 0.0, shift_sigma_mm, shift_sigma_mm, 0.0], (len(shift_mm), 1)),
         np.array([LEAN_SIGMA, LEAN_SIGMA, 0.0, OFFSET_SIGMA_MM, OFFSET_SIGMA_MM, 0.0]),
-        np.array([PLACE_SIGMA_MM] * 3 + [TILT_SIGMA, TILT_SIGMA, 10.0, PERIOD_SIGMA]),
+        np.array([*[PLACE_SIGMA_MM] * 3, TILT_SIGMA, TILT_SIGMA, 10.0, PERIOD_SIGMA, *straight, *mirror]),
     )
-    misfit = _misfit(head, coefficients, points)
+    fit = _settled(head, coefficients, points, freedom)
+    bent = replace(freedom, harmonics=HARMONICS, law=freedom.law + np.pad(LENS_SIGMA, (AXIAL, LAW - AXIAL - BENDS)))
+    with_lens = _settled(fit.head, coefficients, points, bent)
+    slide, lens = with_lens.head.projector, slice(AXIAL, AXIAL + BENDS)
+    edge = _edge(with_lens.head, points)
+    way = np.array([edge**2, edge**4])
+    own, found = with_lens.block[lens, lens], np.resize([*slide.distortion, *[0.0] * BENDS], BENDS)
+    better = fit.misfit**2 - with_lens.misfit**2 > (BENT_OF_MISFIT * fit.misfit) ** 2
+    if better and float(found @ np.linalg.solve(own, found)) > SIGNIFICANT**2 * BENDS:
+        fit = with_lens
+    return CleanPipeFit(
+        fit.head.projector,
+        np.sqrt(np.diag(fit.block)),
+        fit.block,
+        fit.head.poses.mean(axis=0),
+        fit.misfit,
+        len(shots.images),
+        bool(backwards),
+        float(way @ found[:2]),
+        float(np.sqrt(way @ own[:2, :2] @ way)),
+        edge,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Settled:
+    """block : covariance of the law and the harmonics."""
+
+    head: PlacedHead
+    block: FloatArray
+    misfit: float
+
+
+def _settled(head: PlacedHead, images: Float32Array, points: Points, freedom: Freedom) -> _Settled:
+    """Gauss-Newton steps until the projector stands still; the waveform is asked once its place is about right."""
+    count = LAW + 2 * HARMONICS
+    misfit, begun = _misfit(head, images, points), freedom.harmonics > 0
     noise, covariance = (max(misfit**2, 1 / 12), 0.0, 0.0), np.eye(1)
     for turn in range(ROUNDS):
         if turn == ROUNDS // 4:
             freedom = replace(freedom, harmonics=HARMONICS)
         before = head.projector
-        head, covariance = refined(head, coefficients, points, freedom, noise)
-        misfit = _misfit(head, coefficients, points)
+        head, covariance = refined(head, images, points, freedom, noise)
+        misfit = _misfit(head, images, points)
         noise = (max(misfit**2, 1 / 12), 0.0, 0.0)
         moved = np.abs(np.array(head.projector.centre_mm) - np.array(before.centre_mm))
-        if turn > ROUNDS // 4 and (moved < STILL * np.sqrt(np.diag(covariance)[-count : -count + 3])).all():
+        asked = turn > (2 if begun else ROUNDS // 4)
+        if asked and (moved < STILL * np.sqrt(np.diag(covariance)[-count : -count + 3])).all():
             break
-    block = covariance[-count:, -count:]
-    return CleanPipeFit(
-        head.projector,
-        np.sqrt(np.diag(block)),
-        block,
-        head.poses.mean(axis=0),
-        misfit,
-        len(shots.images),
-        bool(backwards),
-    )
+    return _Settled(head, covariance[-count:, -count:], misfit)
+
+
+def _edge(head: PlacedHead, points: Points) -> float:
+    """The widest tangent at which the slide lights the wall."""
+    slide = head.projector
+    own = (points.base - head.poses[0, 3:] - np.array(slide.centre_mm)) @ np.array(slide.rotation).T
+    if slide.mirror_mm:
+        own = reflected(np.array(slide.mirror_mm[:3]), slide.mirror_mm[3], own)[0]
+    return float((np.hypot(own[:, 0], own[:, 1]) / own[:, 2]).max())
 
 
 def _found(head: PlacedHead, images: Float32Array, points: Points) -> tuple[float, FringeProjector]:
@@ -156,22 +200,30 @@ def _found(head: PlacedHead, images: Float32Array, points: Points) -> tuple[floa
         phase = np.stack([view.phase(points.base, n) for n in range(len(images))])
         return complex((swing * np.exp(-1j * phase))[good].mean())
 
-    best, height = np.zeros(LAW), 0.0
+    best, height, quiet = np.zeros(LAW), 0.0, np.zeros(LAW - AXIAL)
     for _ in range(2):
-        tilts = np.linspace(-SEARCH_RAD, SEARCH_RAD, SEARCH_STEPS)
+        tilts = np.linspace(-SEARCH_RAD, SEARCH_RAD, SEARCH_STEPS) / _widened(head.projector)
         for a in tilts:
             for b in tilts:
-                trial = np.array([0, 0, 0, a, b, 0, best[6]])
+                trial = np.array([0, 0, 0, a, b, 0, best[6], *quiet])
                 found = abs(sum_of(changed(head.projector, trial)))
                 if found > height:
                     best, height = trial, found
         for stretch in np.linspace(-SEARCH_PERIOD, SEARCH_PERIOD, PERIOD_STEPS):
-            trial = np.append(best[:6], stretch)
+            trial = np.array([*best[:6], stretch, *quiet])
             found = abs(sum_of(changed(head.projector, trial)))
             if found > height:
                 best, height = trial, found
     nearly = changed(head.projector, best)
     return height, replace(nearly, phase0=nearly.phase0 + float(np.angle(sum_of(nearly))))
+
+
+def _widened(slide: FringeProjector) -> float:
+    """How many times a mirror widens the angles of the slide's light, near its axis: theta + 2 alpha over theta."""
+    if not slide.mirror_mm:
+        return 1.0
+    radius = slide.mirror_mm[3]
+    return 1 + 2 * (float(np.linalg.norm(slide.mirror_mm[:3])) - radius) / radius
 
 
 def _misfit(head: PlacedHead, images: Float32Array, points: Points) -> float:

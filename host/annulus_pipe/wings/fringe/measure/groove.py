@@ -128,7 +128,7 @@ class _Cut:
     ) -> "_Cut | None":
         """None where fewer than FRAMES_LEAST frames see it whole, from its own plane."""
         normal = np.array([math.cos(phi), math.sin(phi), 0.0])
-        lamps = -np.einsum("nij,ni->nj", sight.projectors[:, :, :3], sight.projectors[:, :, 3])
+        lamps = sight.lamps(radius * normal + [0.0, 0.0, float(np.mean(z))])
         beside = np.array([-normal[1], normal[0], 0.0])
         blur_px = math.sqrt(head.blur_squared)
         grey, gain, depth, blur = look_at_cut(sight.frames(images), head.shading, blur_px, normal, radius, z)
@@ -393,11 +393,11 @@ def _aslant(head: PlacedHead, number: int) -> tuple[float, float]:
     blur spans there, mm: both in the middle of the wall it sees."""
     eye, middle = head.eyes[number], head.radius_mm
     turn = np.array(eye.camera.rotation)
-    centre, lamp = -np.array(eye.camera.translation_mm) @ turn, np.array(eye.projector.centre_mm)
+    centre = -np.array(eye.camera.translation_mm) @ turn
     out = turn[2, :2] if np.hypot(*turn[2, :2]) > 1 - STRAIGHT else np.array([1.0, 0.0])
     normal = np.array([*out / np.hypot(*out), 0.0])
     spot = middle * normal + [0.0, 0.0, head.shading[number, 0, 0]]
-    to_lamp, to_eye = spot - lamp, spot - centre
+    to_lamp, to_eye = spot - eye.projector.lamp(spot), spot - centre
     hidden = abs(to_lamp[2]) / float(to_lamp @ normal)
     blur = np.sqrt(head.blur_squared) * float(to_eye @ to_eye) / (float(to_eye @ normal) * eye.camera.camera.fx)
     return hidden, blur

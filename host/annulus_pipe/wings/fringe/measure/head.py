@@ -183,4 +183,10 @@ def projector_to_dict(slide: FringeProjector) -> dict[str, Any]:
         out["nominal_radius_mm"] = slide.nominal_radius_mm
     else:
         out["turn_deg"] = slide.turn_deg
-    return {**out, "harmonics": list(slide.harmonics)} if slide.harmonics else out
+    if slide.harmonics:
+        out["harmonics"] = list(slide.harmonics)
+    if slide.distortion:
+        out["distortion"] = list(slide.distortion)
+    if slide.mirror_mm:
+        out["mirror"] = {"centre_mm": list(slide.mirror_mm[:3]), "radius_mm": slide.mirror_mm[3]}
+    return out

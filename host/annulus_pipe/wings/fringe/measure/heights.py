@@ -18,7 +18,7 @@ from annulus_pipe.numeric.arrays import BoolArray, Float32Array, FloatArray, Int
 from annulus_pipe.numeric.late import ndimage
 from annulus_pipe.numeric.robust import nan_median
 from annulus_pipe.vocabulary import AnnulusError
-from annulus_pipe.wings.fringe.measure.projector import FringeProjector
+from annulus_pipe.wings.fringe.measure.projector import PLAIN, FringeProjector, phase_at
 from annulus_pipe.wings.fringe.measure.track import (
     AMBIGUOUS,
     GOOD,
@@ -94,14 +94,12 @@ class FringeView:
     def phase(self, x: FloatArray, frame: int) -> FloatArray:
         """(P, 3) mm, world -> (P,) rad: the slide's phase there in that frame."""
         q = x @ self.projectors[frame, :, :3].T + self.projectors[frame, :, 3]
-        if self.slide[0] == 0.0:
-            return np.asarray((self.slide[1] * q[:, 0] + self.slide[2] * q[:, 1]) / q[:, 2] + self.slide[3])
-        return np.asarray(self.slide[1] * q[:, 2] / np.hypot(q[:, 0], q[:, 1]) + self.slide[3])
+        return phase_at(self.slide, q)
 
     def wave(self, phase: FloatArray) -> FloatArray:
         """The light's waveform at phases of any shape, of amplitude 1."""
         total = np.cos(phase)
-        for k, (even, odd) in enumerate(self.slide[4:].reshape(-1, 2), start=2):
+        for k, (even, odd) in enumerate(self.slide[PLAIN:].reshape(-1, 2), start=2):
             total = total + even * np.cos(k * phase) + odd * np.sin(k * phase)
         return total
 

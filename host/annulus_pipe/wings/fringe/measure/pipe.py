@@ -33,7 +33,8 @@ from annulus_pipe.wings.fringe.measure import groove
 from annulus_pipe.wings.fringe.measure.bore import BorePoints, HeadLight, follow_wall
 from annulus_pipe.wings.fringe.measure.heights import PARALLAX, Heights, Points, spline
 from annulus_pipe.wings.fringe.measure.noise import noise_of
-from annulus_pipe.wings.fringe.measure.placement import LAW, Eye, Freedom, PlacedHead, Shots, refined
+from annulus_pipe.wings.fringe.measure.placement import Eye, Freedom, PlacedHead, Shots, refined
+from annulus_pipe.wings.fringe.measure.projector import LAW
 from annulus_pipe.wings.fringe.measure.slip import FlashSlips, find_places
 from annulus_pipe.wings.fringe.measure.track import AMBIGUOUS, GOOD, ROBUST_FROM
 

@@ -20,12 +20,11 @@ from annulus_pipe.numeric.robust import CAUCHY, cauchy
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.fringe.measure.bore import DEGREE, TERMS, HeadFrames, look_around
 from annulus_pipe.wings.fringe.measure.heights import EPSILON_MM, FringeView, Heights, Points
-from annulus_pipe.wings.fringe.measure.projector import FringeProjector
+from annulus_pipe.wings.fringe.measure.projector import BENDS, LAW, PLAIN, FringeProjector, changed, lamp_at, phase_at
 
 POSE = 6  # numbers of a pose
-LAW = 7  # of a projector: centre, two of its direction, phase, logarithm of its period
 EPSILON = 1e-5  # rad: differences in place of derivatives
-EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7])
+EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7, *[1e-6] * BENDS, *[1e-4] * 4])
 SHADING_SIGMA = 0.5  # of a coefficient: light changes by a factor along the seen wall, not by orders of magnitude
 BLUR_SIGMA = 2.0  # px^2
 BATCH = 1 << 23  # numbers that normal equations of some points take at once, 64 MB
@@ -83,16 +82,19 @@ class EyeFrames:
     def phase(self, x: FloatArray, frame: int) -> FloatArray:
         """(P, 3) mm, world -> (P,) rad: the slide's phase there in that frame."""
         q = x @ self.projectors[frame, :, :3].T + self.projectors[frame, :, 3]
-        kind, a, b, phase0 = self.slide[frame, :4]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if kind == 0.0:
-                return np.asarray((a * q[:, 0] + b * q[:, 1]) / q[:, 2] + phase0)
-            return np.asarray(a * q[:, 2] / np.hypot(q[:, 0], q[:, 1]) + phase0)
+        return phase_at(self.slide[frame], q)
+
+    def lamps(self, spot: FloatArray) -> FloatArray:
+        """(3,) mm, world -> (N, 3): where light comes to it from, in each frame."""
+        turn, moved = self.projectors[:, :, :3], self.projectors[:, :, 3]
+        there = turn @ spot + moved
+        own = np.stack([lamp_at(slide, q) for slide, q in zip(self.slide, there, strict=True)])
+        return np.asarray(np.einsum("nij,ni->nj", turn, own - moved))
 
     def wave(self, phase: FloatArray) -> FloatArray:
         """(N, ...) rad -> the light's waveform there, of amplitude 1."""
         total = np.cos(phase)
-        own = self.slide[:, 4:].reshape(len(phase), -1, 2, *[1] * (phase.ndim - 1))
+        own = self.slide[:, PLAIN:].reshape(len(phase), -1, 2, *[1] * (phase.ndim - 1))
         for k in range(own.shape[1]):
             total = total + own[:, k, 0] * np.cos((k + 2) * phase) + own[:, k, 1] * np.sin((k + 2) * phase)
         return np.asarray(total)
@@ -228,25 +230,6 @@ def shaded(head: PlacedHead, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(N, P, TERMS) -> (N, P) gain of each frame's light, and of its modulation."""
     gain, depth = (np.exp(np.einsum("npt,nt->np", rows, head.shading[head.eye, k])) for k in (1, 2))
     return gain, depth
-
-
-def changed(projector: FringeProjector, step: FloatArray) -> FringeProjector:
-    """A projector whose numbers (LAW) and harmonics are changed by a step."""
-    turn = np.asarray(
-        transform.Rotation.from_rotvec([step[3], step[4], 0.0]).as_matrix() @ np.array(projector.rotation)
-    )
-    x, y, z = (float(a + b) for a, b in zip(projector.centre_mm, step[:3], strict=True))
-    harmonics = np.zeros(max(len(projector.harmonics), len(step) - LAW))
-    harmonics[: len(projector.harmonics)] = projector.harmonics
-    harmonics[: len(step) - LAW] += step[LAW:]
-    return replace(
-        projector,
-        centre_mm=(x, y, z),
-        rotation=tuple((float(a), float(b), float(c)) for a, b, c in turn),
-        phase0=projector.phase0 + float(step[5]),
-        period=projector.period * float(np.exp(step[6])),
-        harmonics=tuple(float(v) for v in harmonics),
-    )
 
 
 def refined(
