@@ -132,7 +132,7 @@ def _show_pipe(result: "FringePipeCalibration", figures: Mapping[str, Any], out:
     print(f"light      from {place} mm (right, down, ahead); its axis known to {max(sigma['tilt_deg']):.4f} deg")
     print(f"period     {projector['period_mm']:.4f} +- {sigma['period_mm']:.4f} mm on that wall")
     print(f"phase      {projector['phase0']:.4f} +- {sigma['phase0']:.4f} rad")
-    print(f"lens       {_lens(figures)}")
+    print(f"lens       {_lens(figures, with_sigma=False)}")
     if "mirror" in projector:
         ball = [*projector["mirror"]["centre_mm"], projector["mirror"]["radius_mm"]]
         pairs = ", ".join(f"{at:.3f} +- {s:.3f}" for at, s in zip(ball, sigma["mirror_mm"], strict=True))
@@ -145,9 +145,12 @@ def _show_pipe(result: "FringePipeCalibration", figures: Mapping[str, Any], out:
     print(f"written    {out}")
 
 
-def _lens(figures: Mapping[str, Any]) -> str:
-    """What the slide's lens does to the tangent at the edge of the light."""
-    amount = f"{100 * figures['barrel']:+.2f} +- {100 * figures['barrel_sigma']:.2f} %"
+def _lens(figures: Mapping[str, Any], with_sigma: bool = True) -> str:
+    """What the slide's lens does to the tangent at the edge of the light. In a pipe its sigma is the fit's alone, and
+    was four times too small where the truth was known: none is stated."""
+    amount = f"{100 * figures['barrel']:+.2f} %"
+    if with_sigma:
+        amount = f"{100 * figures['barrel']:+.2f} +- {100 * figures['barrel_sigma']:.2f} %"
     what = "distorts by" if "distortion" in figures["projector"] else "none that stands out:"
     return f"{what} {amount} where the light ends (tangent {figures['edge']:.2f}); a barrel is negative"
 
