@@ -44,10 +44,10 @@ def test_the_page_has_the_table_of_the_file() -> None:
 
 
 def test_all_chapters_are_there_and_a_section_is_a_row_or_more() -> None:
-    said = " ".join(row.section for row in ROWS)
+    sections = " ".join(row.section for row in ROWS)
     for chapter in range(2, 12):
-        assert f"§{chapter}." in said
-    assert len(ROWS) > 90 and "A.1" in said and "A.2" in said
+        assert f"§{chapter}." in sections
+    assert len(ROWS) > 90 and "A.1" in sections and "A.2" in sections
     assert len({(row.section, row.what) for row in ROWS}) == len(ROWS)
 
 

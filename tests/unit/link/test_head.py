@@ -437,7 +437,7 @@ def test_a_controller_that_cannot_invert_pins_is_armed_only_where_none_is_invert
     assert plain.head.phase is Phase.RUNNING and plain.controller.armed
 
 
-def test_slides_lit_in_turn_are_said_before_the_commit_and_read_back() -> None:
+def test_slides_lit_in_turn_are_sent_before_the_commit_and_read_back() -> None:
     bench = Bench(HeadControl(STAGE, pins=Pins(slides=4)))
     bench.run(60)
     assert bench.head.phase is Phase.RUNNING and bench.controller.slides == 4

@@ -42,7 +42,7 @@ def test_a_resonance_lies_within_its_sigma(f0: float, quality: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_no_resonance_is_told_where_there_is_none(seed: int) -> None:
+def test_no_resonance_is_reported_where_there_is_none(seed: int) -> None:
     f = np.linspace(2.2e9, 2.6e9, 201)
     flat = 0.8 - 0.1 * (f - f[0]) / (f[-1] - f[0]) + np.random.default_rng(seed).normal(0, 0.01, len(f))
     assert np.isnan(resonance(f, flat).f0_hz)
