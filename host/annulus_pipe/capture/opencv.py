@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from annulus_pipe.capture.camera import BGR8, CompletedRequest, HeldRequest, NoSuchControl, OneRequest
+from annulus_pipe.capture.v4l2 import EXPOSURE_UNIT_US
 from annulus_pipe.vocabulary import AnnulusError
 
 GRAB_S = 1  # OpenCV waits whole seconds, of the environment; its own 10 would be a hang nobody knows of
 GONE_S = 0.5  # a grab that fails sooner has not waited for a frame: the device is gone. Guard: test_opencv.py
 STAMP_AGE_S = 1.0  # a stamp that is older, or ahead, is not of CLOCK_MONOTONIC; 4 buffers at 5 fps are 0.8 s
 RATE_TOLERANCE = 0.01  # of fps, between what is wanted and what OpenCV reports
-EXPOSURE_UNIT_US = 100  # V4L2's exposure_absolute
 MANUAL, AUTO = 1.0, 3.0  # V4L2's exposure_auto, which OpenCV passes on
 
 
