@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from annulus_pipe.wings.tai.measure.budget import Laminate, SingleSidedRig, budget, code_cost
-from annulus_pipe.wings.tai.measure.elastic import Kind, PlateDefect, PlateSample, face_velocity, heard_in_air
+from annulus_pipe.wings.tai.measure.elastic import Kind, PlateDefect, PlateSample, face_velocity, sound_in_air
 from annulus_pipe.wings.tai.measure.layered import PlateModel
 from annulus_pipe.wings.tai.measure.seek import PlateAnswer, time_reversal
 from annulus_pipe.wings.tai.single_sided import (
@@ -58,7 +58,7 @@ def seconds_for(kind: str) -> float:
 def traces(sample: PlateSample) -> FloatArray:
     """What one chip sounds like at every position, without noise."""
     velocity, x_mm = face_velocity(sample, RIG)
-    return heard_in_air(velocity, x_mm, RIG, X_MM, SAMPLES)
+    return sound_in_air(velocity, x_mm, RIG, X_MM, SAMPLES)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from annulus_pipe.cli.app import app
 from annulus_pipe.vocabulary import AnnulusError
 from annulus_pipe.wings.tai.measure.budget import SEQUENCES, Laminate, SingleSidedRig, bursts_of
-from annulus_pipe.wings.tai.measure.elastic import RATE_HZ, PlateDefect, PlateSample, face_velocity, heard_in_air
+from annulus_pipe.wings.tai.measure.elastic import RATE_HZ, PlateDefect, PlateSample, face_velocity, sound_in_air
 from annulus_pipe.wings.tai.measure.layered import PlateModel
 from annulus_pipe.wings.tai.single_sided import (
     SAMPLES,
@@ -34,7 +34,7 @@ COARSE_MM = 0.5  # a cell of the gate's truth: an eighth of the time
 
 def sound(*defects: PlateDefect, cell_mm: float = COARSE_MM) -> np.ndarray:
     velocity, x_mm = face_velocity(PlateSample(defects=defects), RIG, cell_mm)
-    return heard_in_air(velocity, x_mm, RIG, X_MM, SAMPLES)
+    return sound_in_air(velocity, x_mm, RIG, X_MM, SAMPLES)
 
 
 @pytest.fixture(scope="module")

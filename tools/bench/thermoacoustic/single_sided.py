@@ -139,9 +139,9 @@ def _limits(seconds: float) -> dict[str, float]:
     model = PlateModel(Laminate(), RIG, PITCH_MM, np.ones(len(X_MM)), RATE_HZ, SAMPLES)
     for seed in range(QUIET):
         for names, time in ((("plain", "helped"), single_s(seconds)), (("in_time",), seconds)):
-            heard = decoded(with_noise(sound, RIG, "single", time, 10_000 + seed))
+            received = decoded(with_noise(sound, RIG, "single", time, 10_000 + seed))
             for name in names:
-                shown = heard if name == "plain" else heard - np.median(heard, axis=0)
+                shown = received if name == "plain" else received - np.median(received, axis=0)
                 bright[name].append(brightest(model, time_reversal(model, shown))[2])
     return {name: max(values) for name, values in bright.items()}
 

@@ -146,7 +146,7 @@ def sweep_command(
         if one["f0_hz"] is None:
             print(f"{one['point']:<16} no resonance stands out")
             continue
-        words = {None: "", True: ": moved", False: ": not told from none"}[one["moved"]]
+        words = {None: "", True: ": moved", False: ": no shift beyond its uncertainty"}[one["moved"]]
         shift = "" if one["moved"] is None else f"; shift {one['shift_hz']:+.4g} Hz, sigma {one['shift_sigma_hz']:.2g}"
         print(
             f"{one['point']:<16} {one['f0_hz']:.7g} Hz, sigma {one['f0_sigma_hz']:.2g}, Q {one['quality']:.1f}"

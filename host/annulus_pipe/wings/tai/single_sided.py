@@ -31,7 +31,7 @@ from annulus_pipe.wings.tai.measure.budget import (
     decoder,
     spectra,
 )
-from annulus_pipe.wings.tai.measure.elastic import RATE_HZ, PlateDefect, PlateSample, face_velocity, heard_in_air
+from annulus_pipe.wings.tai.measure.elastic import RATE_HZ, PlateDefect, PlateSample, face_velocity, sound_in_air
 from annulus_pipe.wings.tai.measure.layered import KINDS, PlateModel
 from annulus_pipe.wings.tai.measure.seek import PlateAnswer, places, regularised, sound_part, time_reversal
 
@@ -104,7 +104,7 @@ def simulate_plate(
     velocity, x_mm = face_velocity(sample, rig, progress=(lambda n, of: progress("sound", n, of)) if progress else None)
     count = POSITIONS
     at = np.asarray((np.arange(count) - (count - 1) / 2) * PITCH_MM, float)
-    return with_noise(heard_in_air(velocity, x_mm, rig, at, SAMPLES), rig, sequence, seconds, seed)
+    return with_noise(sound_in_air(velocity, x_mm, rig, at, SAMPLES), rig, sequence, seconds, seed)
 
 
 def with_noise(traces: FloatArray, rig: SingleSidedRig, sequence: str, seconds: float, seed: int) -> PlateRecord:
@@ -139,11 +139,11 @@ def decoded(record: PlateRecord) -> FloatArray:
     bursts = bursts_of(record.sequence)
     length = fft.next_fast_len(2 * record.shots.shape[2], real=True)
     f = fft.rfftfreq(length, 1 / RATE_HZ)
-    heard = (f > 0.5 * rig.band_hz[0]) & (f < 1.5 * rig.band_hz[1])
+    in_band = (f > 0.5 * rig.band_hz[0]) & (f < 1.5 * rig.band_hz[1])
     total = np.zeros((record.shots.shape[1], len(f)), complex)
-    taps = decoder(bursts, rig.pulse_s, f[heard])
+    taps = decoder(bursts, rig.pulse_s, f[in_band])
     for shot, weight in zip(record.shots, taps, strict=True):
-        total[:, heard] += weight * fft.rfft(np.asarray(shot, float), length, axis=1)[:, heard]
+        total[:, in_band] += weight * fft.rfft(np.asarray(shot, float), length, axis=1)[:, in_band]
     return np.asarray(fft.irfft(total, length, axis=1)[:, :SAMPLES])
 
 

@@ -353,9 +353,9 @@ def code_cost(name: str, rig: SingleSidedRig) -> CodeCost:
     noise = math.sqrt(float((np.abs(taps) ** 2).sum(axis=0).mean()) * len(bursts))  # of as many shots as bursts, a shot
     gain = 20 * math.log10(float(through.mean()) / noise)
     window = through * np.hanning(len(f))
-    heard = np.abs(fft.ifft(window, 1 << 16))
+    output = np.abs(fft.ifft(window, 1 << 16))
     first = int(3 * (1 << 16) / len(f))  # behind Hann's own main lobe
-    beside = float(heard[first : len(heard) // 2].max() / heard[0])
+    beside = float(output[first : len(output) // 2].max() / output[0])
     on_s = max(int(chips.sum()) for chips in bursts) * rig.pulse_s
     period = _period_s(on_s, max(map(len, bursts)) * rig.pulse_s)
     alone = _period_s(rig.pulse_s, rig.pulse_s)

@@ -167,7 +167,7 @@ def face_velocity(
     return out.astype(float), np.asarray(x_mm, float)
 
 
-def heard_in_air(
+def sound_in_air(
     velocity: FloatArray, x_mm: FloatArray, rig: SingleSidedRig, receivers_mm: FloatArray, samples: int
 ) -> FloatArray:
     """Pressure at receivers' faces above a moving face, (receivers, samples) Pa at RATE_HZ from the chip's start.
@@ -184,7 +184,7 @@ def heard_in_air(
     face = (np.abs(lag) <= rig.face_mm[0] / 2).astype(float)
     face = fft.fft(fft.ifftshift(face / face.sum()))
     at = np.searchsorted(x_mm, receivers_mm - step / 2)
-    heard = np.zeros((len(receivers_mm), len(f)), complex)
+    received = np.zeros((len(receivers_mm), len(f)), complex)
     for n in range(len(f)):
         response = _response(float(f[n]), rig)
         if response == 0.0:
@@ -193,8 +193,8 @@ def heard_in_air(
         wave = 2 * math.pi * f[n] / AIR_SPEED
         kernel = math.pi * f[n] * AIR_DENSITY * 1e-3 * step * special.hankel2(0, (wave - 1j * lost) * distance)
         spread = fft.ifft(fft.fft(spectrum[:, n], len(lag)) * fft.fft(fft.ifftshift(kernel)) * face)
-        heard[:, n] = response * spread[at]
-    return np.asarray(fft.irfft(heard, length, axis=1)[:, :samples])
+        received[:, n] = response * spread[at]
+    return np.asarray(fft.irfft(received, length, axis=1)[:, :samples])
 
 
 def _response(frequency_hz: float, rig: SingleSidedRig) -> float:

@@ -110,7 +110,7 @@ class PlateModel:
         k = self.omega / speed
         h = 1e-3 * self.laminate.thickness_mm
         own_pa, _ = self.rig.pressures_pa(self.laminate)
-        return np.asarray(-own_pa / (c33 * k) * np.tan(k * h / 2) * self._heard(np.array([1.0]))[:, 0])
+        return np.asarray(-own_pa / (c33 * k) * np.tan(k * h / 2) * self._received(np.array([1.0]))[:, 0])
 
     def _through(self) -> tuple[complex, ComplexArray]:
         """Stiffness and speed through the thickness, with the loss of the band's middle at every frequency."""
@@ -121,7 +121,7 @@ class PlateModel:
         neper_m = 1e3 * self.laminate.attenuation_db_mm / 8.686
         return 2 * neper_m * self.laminate.speed / (2 * math.pi * self.rig.middle_hz)
 
-    def _heard(self, k: FloatArray) -> ComplexArray:
+    def _received(self, k: FloatArray) -> ComplexArray:
         """(bins, k): from the face's movement, m, to a receiver's pressure, Pa, for one chip's heat."""
         omega = self.omega[:, None]
         chip = self.rig.pulse_s
@@ -149,7 +149,7 @@ class PlateModel:
         empty = emptying_s(self.laminate, WATER_MM)
         swollen = water_pa * soft / (1 + 1j * self.omega * empty)
         kernel = np.stack([stress * opened[:, :, None], stress * swollen[:, None]])
-        return np.asarray(kernel * self._heard(k))
+        return np.asarray(kernel * self._received(k))
 
     def _loaded(self, k: FloatArray) -> ComplexArray:
         """Stress through the thickness (depths, bins, k) where a unit force pushes the near face.
