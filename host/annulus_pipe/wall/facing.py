@@ -110,8 +110,9 @@ def facing(
     of_rows = row_noise(bare)
     wall = replace(bare, noise_mm=of_rows, cell_noise_mm=np.maximum(noise, of_rows[:, None]).astype(np.float32))
     scale = leader.scale
-    disagree = _disagreement(wall, apart, mine.seen & theirs.seen)
-    differs = 2.0 * abs(size) > SIZES_APART * 2.0 * sure
+    both = mine.seen & theirs.seen
+    disagree = _disagreement(wall, apart, both)
+    differs = abs(size) > SIZES_APART * 2.0 * sure
     findings: list[Finding] = []
     if differs and scale is not None:
         scale = replace(scale, astray=math.hypot(scale.astray, size / wall.mean_radius_mm))
@@ -125,7 +126,6 @@ def facing(
             "hold both"
         )
         findings.append(Finding(DISAGREE, text))
-    both = mine.seen & theirs.seen
     total = np.sqrt(mine.variance + theirs.variance)
     alone = np.zeros(seen.shape, bool)
     alone[rows] = fore.wall.seen
@@ -250,7 +250,6 @@ def _surveyed(
             *(replace(one, text=BACKWARD + one.text) for one in aft.disbelieved),
             *findings,
         ),
-        timing_ms={**fore.timing_ms},
         cameras=(0, 1),
         rings_lost=(*_lost(fore), *(replace(one, text=BACKWARD + one.text) for one in _lost(aft))),
         no_wall=no_wall,

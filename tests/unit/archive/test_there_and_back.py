@@ -236,6 +236,15 @@ def test_a_head_that_is_calibrated_wrongly_is_reported_and_not_averaged() -> Non
     assert not any(one.kind == DISAGREE for one in joined(7).findings)
 
 
+def test_sizes_that_both_scales_explain_blame_no_head() -> None:
+    fore, aft = views(7)
+    wall = aft.wall
+    large = replace(wall, radius_mm=np.float32(1.008) * wall.radius_mm, shape_mm=1.008 * wall.shape_mm)
+    both = facing(fore, replace(aft, wall=large), placed(fore, aft, Mount(APART), ("fore", "aft")), (HEAD, HEAD))
+    assert both.views is not None and abs(both.views.size_mm) < both.views.size_k2_mm
+    assert not any(one.kind == DISAGREE for one in both.findings)
+
+
 def test_what_is_common_to_both_is_not_counted_twice() -> None:
     """Of one calibration its share of a sigma stays; of two it shrinks as of two that are independent."""
     fore, aft = views(7)
